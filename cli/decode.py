@@ -228,8 +228,8 @@ def _tell_end(log: OpenLog, rejected: Counter[str]) -> None:
         rejected[reason] += number
     if log.truncated:
         _say(f"{log.path}: cut off; decoded as far as it is whole")
-    if log.note:
-        _say(f"{log.path}: {log.note}")
+    for text in ([log.note] if log.note else []) + log.told_damage():
+        _say(f"{log.path}: {text}")
 
 
 def _tell_counts(count: Counter[str], rejected: Counter[str]) -> None:

@@ -107,6 +107,7 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
         "lost": [name for name, state in sensors.items() if state != DeviceState.ALIVE],
         "events": dict(events),
         "unfinished": states[FileState.UNFINISHED],
+        "damaged": [name for name, found in glances.items() if found.state == FileState.DAMAGED],
         "recording": states[FileState.BEING_WRITTEN] > 0,
         "no_log": [name for name, found in glances.items() if found.state == FileState.NO_LOG],
         "copied": sum(name in sidecar.copied for name in glances),
@@ -139,6 +140,7 @@ def _state(row: dict[str, Any]) -> list[str]:
         + ["recording"] * row["recording"]
         + [f"unfinished: {command('recover')}"] * bool(row["unfinished"])
     )
+    state += [f"{name} is damaged: {command('verify')}" for name in row["damaged"]]
     state += [f"part {missing} missing"] if missing else []
     state += [f"{name} is no log of tilth" for name in row["no_log"]]
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"

@@ -44,6 +44,9 @@ def run(args: argparse.Namespace) -> int:
         for why in done.not_copied:
             print(f"tilth offload: left: {why}", file=sys.stderr)
             status = 1
+        for what in done.damaged:
+            print(f"tilth offload: copied as it is: {what}", file=sys.stderr)
+            status = 1
         files = "file" if done.copied == 1 else "files"
         print(f"{one.name}: {done.copied} {files} copied and compared, {done.there} there already")
     return status

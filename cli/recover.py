@@ -4,43 +4,65 @@ import argparse
 import sys
 from pathlib import Path
 
+from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
-from tilth.logger.log.recovery import Finished, NoLog, finish
+from tilth.logger.log.recovery import Finished, NoLog, finish, rescue
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "recover",
         help="finish log files that a power cut left unfinished",
-        description="Finish, in place, log files that a power cut or a full disk has left unfinished: then "
-        "any reader of MCAP opens them. Nothing is taken out of them. The daemon does so at its start.",
+        description="Finish log files that a power cut or a full disk has left unfinished: then any reader "
+        "of MCAP opens them. Nothing is taken out of them; one that is whole, or damaged in its middle, is "
+        "not touched. The daemon does so at its start.",
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="NEW.mcap",
+        help="leave FILE as it is, and write here what can be read of it",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """1 where one of them could not be finished."""
     status = 0
+    if args.out is not None and len(args.files) != 1:
+        raise WrongUse("--out takes what can be read of one FILE; give one")
     for path in args.files:
         try:
-            print(_words(finish(path)))
+            print(_words(finish(path)) if args.out is None else _written(rescue(path, args.out), args.out))
+        except FileExistsError as error:
+            raise WrongUse(
+                f"--out {error.filename}: exists; nothing is overwritten, give another name"
+            ) from None
         except NoLog as error:
             print(f"tilth recover: {error}", file=sys.stderr)
             status = 1
         except OSError as error:
-            print(f"tilth recover: {path}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
+            what = error.filename or path
+            print(f"tilth recover: {what}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
             status = 1
     return status
 
 
+def _written(done: Finished, out: Path) -> str:
+    return f"{out}: what can be read of {done.path}: {done.messages} messages{_span(done)}"
+
+
 def _words(done: Finished) -> str:
     what = "was whole" if done.was_whole else "finished now"
+    damaged = f"; {done.unreadable_bytes} bytes of it cannot be read" if done.unreadable_bytes else ""
+    return f"{done.path}: {what}: {done.messages} messages{_span(done)}{damaged}"
+
+
+def _span(done: Finished) -> str:
+    """From when to when, as it follows the number of messages."""
     first_ns, last_ns = done.first_ns + done.utc_minus_ns, done.last_ns + done.utc_minus_ns
     if not done.messages:
-        span = ""
-    elif first_ns < DATED_NS:  # the computer woke in 1970, and nobody had told it better by then
-        span = f", {(last_ns - first_ns) * 1e-9:.1f} s at a time that is not known"
-    else:
-        span = f", {utc_text(first_ns)} to {utc_text(last_ns)}"
-    damaged = f"; {done.unreadable_bytes} bytes of it cannot be read" if done.unreadable_bytes else ""
-    return f"{done.path}: {what}: {done.messages} messages{span}{damaged}"
+        return ""
+    if first_ns < DATED_NS:  # the computer woke in 1970, and nobody had told it better by then
+        return f", {(last_ns - first_ns) * 1e-9:.1f} s at a time that is not known"
+    return f", {utc_text(first_ns)} to {utc_text(last_ns)}"

@@ -87,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({**_as_json(summary, comparison), "simulated": bool(simulated)}))
     else:
         _show(summary, comparison)
-    return 1 if summary.faults or (comparison is not None and comparison.difference) else 0
+    unlike = comparison is not None and (comparison.difference or comparison.unverifiable)
+    return 1 if summary.faults or unlike else 0
 
 
 def _say_other_files(args: argparse.Namespace, machine: Machine) -> None:
@@ -197,7 +198,11 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
         **estimates_and_nuisances(summary.estimates),
     }
     if comparison is not None:
-        answer["verify"] = {"compared": comparison.compared, "difference": comparison.difference or None}
+        answer["verify"] = {
+            "compared": comparison.compared,
+            "difference": comparison.difference or None,
+            "unverifiable": comparison.unverifiable,
+        }
     return answer
 
 
@@ -234,8 +239,18 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
     if not summary.poses:
         console.print("No estimate: there were too few poses; see what is rejected, and the machine file.")
     if comparison is not None:
-        same_bytes = f"All {comparison.compared} results are those that were logged live, to the byte."
-        console.print(f"Differs: {comparison.difference}" if comparison.difference else same_bytes)
+        console.print(_compared(comparison))
+
+
+def _compared(comparison: Comparison) -> str:
+    if comparison.difference:
+        return f"Differs: {comparison.difference}"
+    if not comparison.unverifiable:
+        return f"All {comparison.compared} results are those that were logged live, to the byte."
+    return (
+        f"{comparison.compared} results are those that were logged live, to the byte. Not verifiable: "
+        f"{comparison.unverifiable} behind what is damaged, up to the next stored state."
+    )
 
 
 def _table(title: str, estimate: Estimate) -> Table:

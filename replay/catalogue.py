@@ -134,6 +134,8 @@ def listing(run: CatalogueRun, prepared: Path | None = None) -> pb.RunListing:
         row.state = "is being recorded now"
     elif any(one.state == FileState.UNFINISHED for one in glances.values()):
         row.state = "cut off: plays as far as it is whole"
+    elif any(one.state == FileState.DAMAGED for one in glances.values()):
+        row.state = "damaged: plays what can be read"
     return row
 
 

@@ -17,12 +17,15 @@ class Comparison:
     """Takes results from both sides in their order; `difference` is the first one, in a sentence.
 
     Topic by topic: how results of several frames interleave in the file is not compared. A frame and its
-    results stand in one file, so that nothing waits beyond the end of a log.
+    results stand in one file, so that nothing waits beyond the end of a log. Behind a gap nothing can be
+    compared until a stored state tells what the fold was: `unverifiable` counts those results.
     """
 
     def __init__(self) -> None:
         self.compared = 0
         self.difference = ""
+        self.unverifiable = 0
+        self._on_track = True
         self._any_live = False  # whether a result was in the logs
         self._live: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
         self._again: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
@@ -30,12 +33,25 @@ class Comparison:
     def logged(self, row: Logged) -> None:
         """Take a result that was logged live."""
         self._any_live = self._any_live or row.topic in IDENTICAL
+        if not self._on_track:
+            self.unverifiable += row.topic in IDENTICAL
+            return
         self._take(row.topic, (row.t_ns, row.data), self._live, self._again)
 
     def recomputed(self, topic: str, t_ns: int, data: bytes) -> None:
         """Take a result of the replay."""
-        if topic in IDENTICAL:
+        if topic in IDENTICAL and self._on_track:
             self._take(topic, (t_ns, data), self._again, self._live)
+
+    def lose_track(self) -> None:
+        """Messages are missing in the log: frames, results, or what else enters the fold."""
+        if self._on_track:
+            self.finish(truncated=True)
+        self._on_track = False
+
+    def find_track(self) -> None:
+        """The fold goes on from a state that was stored live."""
+        self._on_track = True
 
     def finish(self, truncated: bool) -> None:
         """At the end of each log. One that was cut may lack results of its last frames."""

@@ -3,18 +3,21 @@
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from pathlib import Path
 from typing import BinaryIO
 
+from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
 from mcap.records import Metadata
 
-from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, times_of, unpacked, walk
+from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC
+from tilth.logger.log.mcap_summary import times_of
 from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.replay.simulated import mark_of
 from tilth.replay.survey import messages_in
@@ -23,12 +26,14 @@ from tilth.schemas.proto import tilth_pb2 as pb
 LAST = ("/pose", "/soil_tire")  # whose last message is told
 _INDEX = struct.Struct("<HI")  # of a message index: channel, bytes of its entries, of which each has
 _ENTRY = 16
+_WITHIN = tuple(kind for kind in DAMAGE if kind is not OSError)
 
 
 class FileState(Enum):
     WHOLE = auto()
     BEING_WRITTEN = auto()  # by another program, now
     UNFINISHED = auto()
+    DAMAGED = auto()  # its index cannot be used
     NO_LOG = auto()  # not one of tilth's
 
 
@@ -61,23 +66,24 @@ def glance(path: Path) -> Glance:
                 return Glance(FileState.NO_LOG)
             found = Glance(FileState.BEING_WRITTEN if is_being_written(file) else FileState.UNFINISHED)
             return _by_heads(file, size, found)
-        file.seek(0)
-        try:
-            reader = make_reader(file)
-            if "tilth" not in reader.get_header().library:
-                return Glance(FileState.NO_LOG)
-            return _by_index(reader)
-        except DAMAGE:
+        if not is_ours(file, size):
             return Glance(FileState.NO_LOG)
+        try:
+            if times_of(file, size) is not None:
+                file.seek(0)
+                return _by_index(make_reader(file, validate_crcs=True))
+        except (*DAMAGE, LookupError):
+            pass  # its index cannot be used, or what it names is damaged
+        return _by_heads(file, size, Glance(FileState.DAMAGED))
 
 
 def brief(path: Path) -> Glance:
     """State and times alone, of a whole log of gigabytes in milliseconds. Raises OSError."""
     with path.open("rb") as file:
         try:
-            times = times_of(file, path.stat().st_size)
-            file.seek(0)
-            if times is None or "tilth" not in make_reader(file).get_header().library:
+            size = path.stat().st_size
+            times = times_of(file, size)
+            if times is None or not is_ours(file, size):
                 return glance(path)
         except DAMAGE:
             return glance(path)
@@ -85,10 +91,11 @@ def brief(path: Path) -> Glance:
 
 
 def _by_index(reader: McapReader) -> Glance:
+    """Raises one of DAMAGE."""
     found = Glance(FileState.WHOLE)
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
-        return Glance(FileState.NO_LOG)
+        raise ValueError("no index")
     counts = summary.statistics.channel_message_counts
     buses = [channel.topic for channel in summary.channels.values() if channel.topic.startswith(CAN_TOPIC)]
     found.frames = sum(
@@ -150,12 +157,12 @@ class _ChunkPlaces:
     topics: dict[int, str] = field(default_factory=dict)  # of the channels met so far
 
     def messages(self, number: int, wanted: Container[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, t_ns, data) of a chunk. Raises one of DAMAGE."""
-        for topic, (t_ns, data) in messages_in(
-            unpacked(body_of(self.file, self.places[number])), self.topics
-        ):
-            if wanted is None or topic in wanted:
-                yield topic, t_ns, data
+        """(topic, t_ns, data) of a chunk; of a damaged one as far as it can be read. Raises OSError."""
+        with suppress(*_WITHIN):
+            data = unpacked(body_of(self.file, self.places[number]))
+            for topic, (t_ns, payload) in messages_in(data, self.topics):
+                if wanted is None or topic in wanted:
+                    yield topic, t_ns, payload
 
     def holding(self, topics: Container[str]) -> list[int]:
         return [n for n, row in self.counts.items() if any(self.topics.get(id, "") in topics for id in row)]
@@ -166,15 +173,10 @@ def _by_heads(file: BinaryIO, size: int, found: Glance) -> Glance:
     chunks = _ChunkPlaces(file)
     times: list[int] = []
     for place in walk(file, size):
-        try:
-            _take(chunks, place, found, times)
-        except DAMAGE:
-            continue
+        _take(chunks, place, found, times)
     found.first_ns, found.last_ns = min(times, default=0), max(times, default=0)
-    try:
+    with suppress(DecodeError):
         _look_into(chunks, found)
-    except DAMAGE:
-        return found
     return found
 
 
@@ -207,9 +209,10 @@ def _look_into(chunks: _ChunkPlaces, found: Glance) -> None:
     for number in chunks.holding({"/event"}):
         found.events += _kinds(data for _, _, data in chunks.messages(number, {"/event"}))
     for topic in LAST:
-        for number in chunks.holding({topic})[-1:]:
-            *_, (_, _, data) = chunks.messages(number, {topic})
-            _take_last(found, topic, data)
+        for number in reversed(chunks.holding({topic})):
+            if rows := [data for _, _, data in chunks.messages(number, {topic})]:
+                _take_last(found, topic, rows[-1])
+                break
     with_frames = chunks.holding(buses)[-1:]
     until_ns = max((t for number in with_frames for _, t, _ in chunks.messages(number, buses)), default=0)
     for number in reversed(chunks.holding({"/status"})):

@@ -7,7 +7,6 @@ wrong. The log holds each frame, also those of before somebody began to watch, a
 import io
 import math
 import os
-import struct
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from typing import Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Header, Metadata
+from mcap.records import Metadata
 
 from tilth.logger.log.mcap_file import (
     DAMAGE,
@@ -27,15 +26,17 @@ from tilth.logger.log.mcap_file import (
     RecordPlace,
     body_of,
     is_finished,
-    next_chunk,
+    mended,
+    next_record,
     place_at,
     unpacked,
     walk,
 )
+from tilth.logger.log.mcap_summary import summarised
 from tilth.logger.log.runs import stored_runs
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import EmptyLog, OpenLog, Record
-from tilth.replay.readers.mcap_reader import MACHINE, Channels, from_summary
+from tilth.replay.readers.mcap_reader import MACHINE, Channels
 from tilth.replay.readers.rig import NO_RECEIVER, on_buses_of
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
@@ -49,7 +50,6 @@ AWAITED: Final = (
 )
 LOST: Final = "{}: overwritten, or not there any more. What had been read of it counts."
 NO_MACHINE: Final = "{} does not count: it is damaged at its beginning, where its machine file stood."
-_INDEX_HEAD: Final = struct.Struct("<HI")  # channel id, bytes of its rows: of a message index
 
 
 @dataclass(slots=True)
@@ -69,7 +69,7 @@ class GrowingLog:
         self._file = path.open("rb")
         self._log = OpenLog(path, "MCAP", self._file, os.fstat(self._file.fileno()).st_size)
         self._channels = Channels(self._log)
-        from_summary(self._channels, self._file)  # of a whole file: its first chunk may be damaged
+        self._learn_channels()  # of a whole file: its first chunk may be damaged
         self._at = len(MAGIC)
         self._looked_at = 0  # bytes of the file, when all of them had been read
         self.finished = False
@@ -105,11 +105,14 @@ class GrowingLog:
             return
         self._log.size, self.waits_for_end = size, False
         while not self.finished and self._at < size:
-            place = place_at(self._file, self._at, size)
+            place = place_at(self._file, self._at, size) or mended(self._file, self._at, size)
             found = None if place is None else self._records(place)
             if place is not None and found is not None:
                 self._at = place.end
-                if place.opcode == Opcode.DATA_END:  # what follows tells where things are, and no frame
+                if place.opcode in (
+                    Opcode.DATA_END,
+                    Opcode.FOOTER,
+                ):  # what follows tells where things are, and no frame
                     self._finish()
                 yield from (record for record in found if isinstance(record, Frame))
             elif self.waits_for_end or not self._pass_over(place, size):
@@ -118,28 +121,22 @@ class GrowingLog:
 
     def _records(self, place: RecordPlace) -> list[Record] | None:
         """What a record holds; None where it is damaged, or waits_for_end. Raises OSError."""
-        body = body_of(self._file, place)
+        if place.opcode != Opcode.CHUNK:
+            return [] if place.opcode <= Opcode.DATA_END or place.opcode == UNREADABLE else None
         try:
-            match place.opcode:
-                case Opcode.CHUNK:
-                    data = unpacked(body)
-                    if self._log.skipped and not self._can_read(data):
-                        return None
-                    return self._channels.records(data)
-                case Opcode.MESSAGE_INDEX:
-                    # One that is too long by its head takes chunks with it that nobody would miss.
-                    whole = _INDEX_HEAD.unpack_from(body)[1] == len(body) - _INDEX_HEAD.size
-                case Opcode.DATA_END:
-                    whole = len(body) == 4
-                case Opcode.HEADER | Opcode.METADATA:
-                    stream = ReadDataStream(io.BytesIO(body))
-                    (Header if place.opcode == Opcode.HEADER else Metadata).read(stream)
-                    whole = stream.count == len(body)
-                case other:
-                    whole = other == UNREADABLE
+            data = unpacked(body_of(self._file, place))
+            if self._log.skipped and not self._can_read(data):
+                return None
+            return self._channels.records(data)
         except DAMAGE:
             return None
-        return [] if whole else None
+
+    def _learn_channels(self) -> bool:
+        """From the index at the end; False where there is none yet. Raises OSError."""
+        found = list(summarised(self._file, self._log.size))
+        for opcode, body in found:
+            self._channels.definition(opcode, body)
+        return bool(found)
 
     def _can_read(self, data: bytes) -> bool:
         """Whether all channels of a chunk are known, or as many as ever will be: a damaged one before it may
@@ -154,7 +151,7 @@ class GrowingLog:
             else:
                 self._channels.definition(opcode, data[start + HEAD.size : stop])
             start = stop
-        if used <= self._channels.defined or from_summary(self._channels, self._file):
+        if used <= self._channels.defined or self._learn_channels():
             return True
         self.waits_for_end = not is_finished(self._file, self._log.size)
         return not self.waits_for_end
@@ -162,10 +159,10 @@ class GrowingLog:
     def _pass_over(self, place: RecordPlace | None, size: int) -> bool:
         """Go on behind damage, which is counted; False where a record may only not be written yet.
 
-        place: of the record whose content is damaged; None where none is whole. A whole chunk behind it tells
-        the one from the other: the daemon writes one record after another.
+        place: of the record whose content is damaged; None where none is whole. A whole record behind it
+        tells the one from the other: the daemon writes one after another.
         """
-        at = next_chunk(self._file, self._at + 1, size)
+        at = next_record(self._file, self._at + 1, size)
         ends = at == size and is_finished(self._file, size)  # nothing more will come
         if place is not None and (place.end == size or place_at(self._file, place.end, size) is not None):
             at = min(at, place.end)  # its length is right
@@ -208,7 +205,7 @@ def _has_chunk(path: Path) -> bool:
     """Whether frames stand in it, which a machine file comes before. Raises OSError."""
     size = path.stat().st_size
     with path.open("rb") as file:
-        return next_chunk(file, 0, size) < size
+        return any(place.opcode == Opcode.CHUNK for place in walk(file, size))
 
 
 class FollowedLogs:
@@ -326,6 +323,11 @@ class FollowedLogs:
                 self._files[key].path = path
                 return
             if key in self._looked or any(path.samefile(one) for one in self._given):
+                return
+            if any(
+                one.path == path for one in self._files.values()
+            ):  # finished: its copy has taken its place
+                self._looked.add(key)
                 return
             text = opening_machine(path)
             if text is None and not _has_chunk(path):

@@ -18,7 +18,7 @@ from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, machine_sha256
 from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers.any_log import open_log, place
-from tilth.replay.readers.log import EmptyLog, Logged, OpenLog, RunPlace
+from tilth.replay.readers.log import EmptyLog, Gap, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
 from tilth.schemas.channels import ACCEPTED_TOPIC, FIT_TOPIC, READY_TOPIC, payload
 from tilth.schemas.flow import Accepted, Estimate, Event, Frame, Origin, Pose, Publication
@@ -183,7 +183,7 @@ class _Run:
         summary = self.summary
         time, before_ns = LogTime(), summary.duration_ns
         for record in on_buses_of(self._machine, log, buses, self._say):
-            if self._anew:
+            if self._anew and not isinstance(record, Gap):
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
                 log_time.take_stamp(time, record)
@@ -199,6 +199,8 @@ class _Run:
                     progress(self._read_bytes + log.position())
             elif isinstance(record, Snapshot):
                 self._snapshot(log, record)
+            elif isinstance(record, Gap):
+                self._gap(log, record)
             elif record.topic == READY_TOPIC:
                 self._ready(log, record)
             elif record.topic == ACCEPTED_TOPIC:
@@ -208,6 +210,14 @@ class _Run:
                     comparison.logged(record)
                 if record.topic == FIT_TOPIC:
                     self._fit(record)
+
+    def _gap(self, log: OpenLog, gap: Gap) -> None:
+        """Messages are missing: what the fold was live from here on, the next stored state tells."""
+        event = Publication(gap.t_ns, "/event", Event(gap.t_ns, "gap", f"{log.path.name}: {gap.text}"))
+        if self._outputs.comparison is not None:
+            self._outputs.comparison.lose_track()
+        self._put([(event, payload(event))])
+        self._fold.ready = True  # that they became so may be what is missing
 
     def _frame(self, frame: Frame) -> None:
         if self._outputs.writer is not None:
@@ -295,6 +305,8 @@ class _Run:
             self._take_addresses(stored)
             return
         self._go_on_with(fold, stored.t_ns, stored.state_json)
+        if self._outputs.comparison is not None:
+            self._outputs.comparison.find_track()
 
     def _refuse(self, log: OpenLog, stored: Snapshot, reason: str) -> None:
         """Go on without a stored state, and say so: to the person here, and among the events."""

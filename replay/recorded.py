@@ -14,7 +14,8 @@ from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
 
-from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, unpacked, walk
+from tilth.logger.log.mcap_file import DAMAGE, HOLE, RecordPlace, body_of, unpacked
+from tilth.logger.log.mcap_records import McapRecords
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.replay.survey import messages_in
@@ -185,28 +186,30 @@ class RecordedRun:
         self._files.append(file)
         if log.form != MCAP:
             raise ForeignLog(f"{path}: holds frames only, no result that could be played")
-        if not is_finished(file, size):
-            self.cut.append(path)
-        topics: dict[int, str] = {}
-        for place in walk(file, size):
-            if place.opcode != Opcode.CHUNK:
-                continue
+        records, topics = McapRecords(file, size), dict[int, str]()
+        list(messages_in(records.definitions, topics))
+        for place, data in records:
             progress(place.start)
-            try:
-                yield from self._take_chunk(file, topics, place)
-            except DAMAGE:
+            if place.opcode == HOLE:
                 self.damaged += 1
+            elif place.opcode == Opcode.CHUNK:
+                yield from self._take_chunk(file, topics, place, data)
+        if records.cut:
+            self.cut.append(path)
 
-    def _take_chunk(self, file: BinaryIO, topics: dict[int, str], place: RecordPlace) -> list[Recorded]:
+    def _take_chunk(
+        self, file: BinaryIO, topics: dict[int, str], place: RecordPlace, data: bytes
+    ) -> list[Recorded]:
         """Its results; where it has some it is remembered."""
-        body = body_of(file, place)
-        messages = list(messages_in(unpacked(body), topics, TOPICS))
+        messages = list(messages_in(data, topics, TOPICS))
         if not messages:
             return []
         t_ns = messages[0][1][0]
         if self._shift_ns is None or t_ns + self._shift_ns < self.length_ns - STEP_NS:
             self._shift_ns = self.length_ns - t_ns
-        chunk = _Chunk(file, topics, place, body[:CHUNK_HEAD], self.length_ns, self._shift_ns)
+        file.seek(place.body)
+        head = file.read(CHUNK_HEAD)
+        chunk = _Chunk(file, topics, place, head, self.length_ns, self._shift_ns)
         rows = list(_placed(chunk, messages))
         for topic in {row.topic for row in rows}:
             self._holding.setdefault(topic, []).append(len(self._chunks))

@@ -3,7 +3,6 @@
 import io
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
@@ -13,20 +12,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
-from tilth.logger.log.mcap_file import (
-    DAMAGE,
-    HEAD,
-    MAGIC,
-    MESSAGE,
-    UNREADABLE,
-    body_of,
-    is_finished,
-    place_at,
-    unpacked,
-)
+from tilth.logger.log.mcap_file import HEAD, HOLE, MAGIC, MESSAGE
 from tilth.logger.log.mcap_log import CAN_TOPIC, ClockReason
+from tilth.logger.log.mcap_records import McapRecords
 from tilth.logger.log.recovery import is_being_written, is_ours
 from tilth.logger.log.runs import file_name
+from tilth.replay.readers.log import MOST_TOLD
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -105,11 +96,12 @@ def survey(paths: Iterable[Path]) -> list[RunSurvey]:
     """Read and check every byte; a RunSurvey of each run, in the order given. Raises OSError."""
     runs: dict[str, tuple[RunSurvey, _Reading]] = {}
     for path in paths:
-        metadata, clocks, damage = dict[str, Mapping[str, str]](), list[Mapping[str, str]](), Counter[str]()
+        metadata, clocks = dict[str, Mapping[str, str]](), list[Mapping[str, str]]()
         one, reading = None, _Reading()
         with path.open("rb") as file:
             being_written = is_being_written(file)
-            for topic, row in _records(file, path.stat().st_size, damage):
+            records = _FileReading(file, path.stat().st_size, being_written)
+            for topic, row in records:
                 if isinstance(row, Metadata):
                     metadata.setdefault(row.name, row.metadata)
                     clocks += [row.metadata] if row.name == "clock" else []
@@ -119,14 +111,8 @@ def survey(paths: Iterable[Path]) -> list[RunSurvey]:
                 _take(one, reading, topic, *row)
         if one is None:
             one, reading = _run_of(runs, path, metadata)
-        if being_written:
-            one.being_written = True
-            damage -= Counter(cut=1, empty=1)
-        recover = command("recover")
-        one.wrong += [
-            f"{path.name}: {_DAMAGE[what].format(count, recover=recover)}"
-            for what, count in sorted(damage.items())
-        ]
+        one.being_written |= being_written
+        one.wrong += [f"{path.name}: {what}" for what in records.wrong]
         reading.clocks += clocks
         reading.ended = clocks[-1].get("why", "") if clocks else ""
     for one, reading in runs.values():
@@ -134,44 +120,53 @@ def survey(paths: Iterable[Path]) -> list[RunSurvey]:
     return [one for one, _ in runs.values()]
 
 
-_DAMAGE = {
-    "cut": "was left unfinished; `{recover}` finishes it",
-    "chunk": "chunks that cannot be read ({})",
-    "bytes": "bytes that cannot be read ({})",
-    "empty": "is empty: nothing of it reached the disk",
-    "foreign": "is no log of tilth",
-    "mcap": "is no MCAP file",
-}
-
 _Row = Metadata | tuple[int, bytes]
 
 
-def _records(file: BinaryIO, size: int, damage: Counter[str]) -> Iterator[tuple[str, _Row]]:
-    """("", metadata) and (topic, (t_ns, data)) of a whole file."""
-    topics: dict[int, str] = {}
-    if file.read(len(MAGIC)) != MAGIC:
-        damage["empty" if is_ours(file, size) else "mcap"] += 1
-        return
-    if not is_ours(file, size):
-        damage["foreign"] += 1
-        return
-    if not is_finished(file, size):
-        damage["cut"] += 1
-    at = len(MAGIC)
-    while (place := place_at(file, at, size)) is not None and place.opcode != Opcode.DATA_END:
-        at = place.end
-        if place.opcode == UNREADABLE:
-            damage["bytes"] += place.end - place.body
-        elif place.opcode == Opcode.METADATA:
-            with suppress(*DAMAGE):
-                yield "", Metadata.read(ReadDataStream(io.BytesIO(body_of(file, place))))
-        elif place.opcode == Opcode.CHUNK:
-            try:
-                data = unpacked(body_of(file, place))
-            except DAMAGE:
-                damage["chunk"] += 1
-            else:
-                yield from messages_in(data, topics)
+class _FileReading:
+    """Reads a file to its end; `wrong`, in sentences, is complete then."""
+
+    def __init__(self, file: BinaryIO, size: int, being_written: bool) -> None:
+        self.wrong: list[str] = []
+        self._file, self._size, self._being_written = file, size, being_written
+
+    def __iter__(self) -> Iterator[tuple[str, _Row]]:
+        """("", metadata) and (topic, (t_ns, data))."""
+        file, size = self._file, self._size
+        if file.read(len(MAGIC)) != MAGIC:
+            empty = is_ours(file, size)
+            if not (empty and self._being_written):
+                self.wrong.append("is empty: nothing of it reached the disk" if empty else "is no MCAP file")
+            return
+        if not is_ours(file, size):
+            self.wrong.append("is no log of tilth")
+            return
+        every_byte = not self._being_written
+        records = McapRecords(file, size, (Opcode.METADATA, Opcode.ATTACHMENT), every_byte=every_byte)
+        topics: dict[int, str] = {}
+        list(messages_in(records.definitions, topics))
+        count = 0
+        for place, data in records:
+            if place.opcode == Opcode.METADATA:
+                yield "", Metadata.read(ReadDataStream(io.BytesIO(data[HEAD.size :])))
+            elif place.opcode not in (HOLE, Opcode.ATTACHMENT):
+                for topic, row in messages_in(data, topics):
+                    count += 1
+                    yield topic, row
+        self._tell(records, count)
+
+    def _tell(self, records: McapRecords, count: int) -> None:
+        if records.covered:
+            self.wrong.append(f"bytes that cannot be read ({records.covered})")
+        if records.cut and not self._being_written:
+            self.wrong.append(f"was left unfinished; `{command('recover')}` finishes it")
+        faults = [str(fault) for fault in records.faults]
+        self.wrong += faults[:MOST_TOLD]
+        if len(faults) > MOST_TOLD:
+            self.wrong.append(f"damaged at {len(faults) - MOST_TOLD} places more")
+        told = records.told_messages
+        if told is not None and told != count:
+            self.wrong.append(f"{told:,} messages were recorded, {count:,} can be read")
 
 
 def messages_in(

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from typing import Final
 
-from tilth.analysis.runs.reading import topics_of
+from tilth.analysis.runs.reading import indexed_topics
 from tilth.analysis.runs.run import Run, topics
 from tilth.logger.log.mcap_log import CAN_TOPIC
 
@@ -65,7 +65,7 @@ def channels_in(run: Run) -> tuple[str, ...] | None:
     """What a run holds, by the index of its files; None where one has no index, since it was cut off."""
     found: set[str] = set()
     for file in run.files:
-        there = set(topics_of(file.path).values())
+        there = set(indexed_topics(file.path).values())
         if not there:
             return None
         found |= there

@@ -49,12 +49,17 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
     kept = (cache or cache_folder()) / f"{name}.driving"
     found = _loaded(kept, kept.stat().st_mtime_ns) if kept.exists() else None
     if found is None:
-        found = tuple(_drive(run, progress))
-        _store(kept, found, run.machine.log)
+        damage = list[str]()
+        found = tuple(_drive(run, progress, damage))
+        if not damage:  # what is kept is known by both ends of a file alone
+            _store(kept, found, run.machine.log)
+        for text in damage:
+            run.reader.tell(text)
     return found
 
 
-def _drive(run: Run, progress: Progress) -> list[Driven]:
+def _drive(run: Run, progress: Progress, damage: list[str]) -> list[Driven]:
+    """damage: gets what is damaged in the logs, in sentences."""
     state = fold.initial(run.machine)
     state.ready = False  # no estimator
     whole, before = sum(file.path.stat().st_size for file in run.files), 0
@@ -71,6 +76,7 @@ def _drive(run: Run, progress: Progress) -> list[Driven]:
                         progress(before + log.position(), whole)
                 elif isinstance(record, Snapshot) and not state.frames:
                     _take_addresses(run, state, record)
+        damage += [f"{file.path}: {text}" for text in log.told_damage()]
         before += log.size
     return found
 

@@ -1,6 +1,6 @@
 """One channel of Tilth's own logs as tables, chunk by chunk: what is read and kept is what is asked for.
 
-A log that was cut off is read as far as it is whole; damaged chunks are left out. Both are counted.
+A log that was cut off is read as far as it is whole; what is damaged is left out. Both are counted.
 """
 
 import io
@@ -14,16 +14,15 @@ from typing import Final
 import numpy as np
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
 from mcap.records import Channel
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.layout import ChannelLayout, TableColumn, layout_of
 from tilth.analysis.runs.table import TEXTS, Table, Values, joined
 from tilth.estimator.compiled import kernel
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, summarised, unpacked
-from tilth.replay.readers.log import OpenLog
-from tilth.replay.readers.mcap_reader import framed
+from tilth.logger.log.mcap_summary import topics_of
+from tilth.replay.readers.log import Gap, OpenLog
+from tilth.replay.readers.mcap_reader import LogRecords
 from tilth.schemas import message_columns as wire
 from tilth.schemas.message_columns import WireColumns
 
@@ -55,6 +54,8 @@ class ChannelReader:
     paths: Sequence[Path]
     clock: RunClock
     skipped: Counter[str] = field(default_factory=Counter)
+    say: Callable[[str], None] = lambda text: None  # takes what is damaged, once
+    _said: set[str] = field(default_factory=set)
     _ahead: dict[str, Table] = field(default_factory=dict)
 
     def table(self, topic: str) -> Table:
@@ -117,8 +118,8 @@ class ChannelReader:
         the channel stands which of the wanted topics it is."""
         before = 0
         for path in self.paths:
-            topics = topics_of(path)
-            for data in chunks(path, self.skipped, partial(_from, heard, before)):
+            topics: dict[int, str] = {}
+            for data in chunks(path, self.skipped, partial(_from, heard, before), self.tell):
                 numbers = np.frombuffer(data, np.uint8)
                 places = np.empty((numbers.size // wire.MCAP_HEAD + 1, 4), np.int64)
                 defined = places[: _definitions_of(numbers, places)]
@@ -135,6 +136,12 @@ class ChannelReader:
                     places[:count, 0] = which[places[:count, 0]]
                     yield data, places[:count]
             before += path.stat().st_size
+
+    def tell(self, text: str) -> None:
+        """Say what is damaged, once."""
+        if text not in self._said:
+            self._said.add(text)
+            self.say(text)
 
     def _table(self, topic: str, data: bytes, places: NDArray[np.int64]) -> Table:
         layout = layout_of(topic)
@@ -227,28 +234,29 @@ def _from(heard: Callable[[int], None], before: int, read: int) -> None:
     heard(before + read)
 
 
-def chunks(path: Path, skipped: Counter[str], heard: Callable[[int], None] = _nobody) -> Iterator[bytes]:
-    """The records of each chunk of a file. heard: takes how many of its bytes were read. Raises OSError."""
+def chunks(
+    path: Path,
+    skipped: Counter[str],
+    heard: Callable[[int], None] = _nobody,
+    say: Callable[[str], None] = lambda text: None,
+) -> Iterator[bytes]:
+    """The records of each chunk of a file. heard: takes how many of its bytes were read. say: takes what is
+    damaged. Raises OSError."""
     with path.open("rb") as file:
         log = OpenLog(path, "MCAP", file, path.stat().st_size)
-        for opcode, body in framed(log):
-            try:
-                yield unpacked(body) if opcode == Opcode.CHUNK else HEAD.pack(opcode, len(body)) + body
-            except DAMAGE:
-                skipped["damaged_chunk"] += 1
+        records = LogRecords(log)
+        yield records.definitions
+        for data in records:
+            if not isinstance(data, Gap):
+                yield data
             heard(log.position())
+        for text in log.told_damage():
+            say(f"{path}: {text}")
+        skipped.update(log.skipped)
         skipped["cut"] += log.truncated
 
 
-def topics_of(path: Path) -> dict[int, str]:
-    """Channel -> topic, by the index of a finished file; {} of another."""
-    found: dict[int, str] = {}
+def indexed_topics(path: Path) -> dict[int, str]:
+    """Channel -> topic, by the index of a finished file; {} of another. Raises OSError."""
     with path.open("rb") as file:
-        try:
-            for opcode, body in summarised(file, path.stat().st_size):
-                if opcode == Opcode.CHANNEL:
-                    channel = Channel.read(ReadDataStream(io.BytesIO(body)))
-                    found[channel.id] = channel.topic
-        except DAMAGE:
-            return {}
-    return found
+        return topics_of(file, path.stat().st_size)

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from tilth.analysis.runs.given_once import check_given_once
 from tilth.analysis.runs.kept import Progress, Say, no_progress, replayed, silent
 from tilth.analysis.runs.log_file import DAEMON_RUN, LogFile
-from tilth.analysis.runs.reading import ChannelReader, RunClock, topics_of
+from tilth.analysis.runs.reading import ChannelReader, RunClock, indexed_topics
 from tilth.analysis.runs.table import Table, joined
-from tilth.logger.log.mcap_file import DAMAGE, MAGIC, metadata_bodies
+from tilth.logger.log.mcap_file import DAMAGE, MAGIC
+from tilth.logger.log.mcap_summary import metadata_bodies
 from tilth.replay.glance import FileState, brief
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog
@@ -52,6 +53,7 @@ class Run:
     machine: Machine
     machine_text: str
     note: str = ""
+    say: Say = silent  # takes sentences about what cannot be read
     reader: ChannelReader = field(init=False)
 
     def __post_init__(self) -> None:
@@ -60,6 +62,7 @@ class Run:
         self.reader = ChannelReader(
             [file.path for file in self.files],
             RunClock(self.start_ns, int(ahead) if ahead.lstrip("-").isdecimal() else self._dated()),
+            say=self.say,
         )
 
     def _dated(self) -> int | None:
@@ -188,7 +191,7 @@ def open_runs(
     if simulated:
         say(f"{', '.join(map(str, simulated))}: {SAID}")
     check_given_once([pair for files in groups.values() for pair in files])
-    return tuple(_run(files, machine) for files in groups.values())
+    return tuple(_run(files, machine, say) for files in groups.values())
 
 
 def _run_key(path: Path, file: LogFile, groups: Mapping[str, list[tuple[Path, LogFile]]]) -> str:
@@ -201,13 +204,13 @@ def _run_key(path: Path, file: LogFile, groups: Mapping[str, list[tuple[Path, Lo
     return key if is_part and file.path == path and REPLAY not in file.metadata else f"{path} {len(groups)}"
 
 
-def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None) -> Run:
+def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None, say: Say) -> Run:
     files.sort(key=lambda pair: _part(pair[1]))
     found = machine or machine_in([file.path for _, file in files])
     run = files[0][1].metadata.get("run", {})
     return Run(
         _name(*files[0], run.get("id", "")),
-        tuple(path for path, _ in files), tuple(file for _, file in files), *found, run.get("note", ""),
+        tuple(path for path, _ in files), tuple(file for _, file in files), *found, run.get("note", ""), say,
     )  # fmt: skip
 
 
@@ -248,7 +251,7 @@ def is_mcap(path: Path) -> bool:
 
 def holds_poses(path: Path) -> bool:
     """Whether poses were recorded in one of Tilth's own logs, as far as it is whole. Raises OSError."""
-    topics = topics_of(path)
+    topics = indexed_topics(path)
     if topics:
         return "/pose" in topics.values()
     reader = ChannelReader([path], RunClock(0))
@@ -260,7 +263,7 @@ def _read_file(path: Path) -> LogFile:
     found = brief(path)
     if found.state is FileState.NO_LOG:
         raise ForeignLog(f"{path}: no log of tilth")
-    whole = found.state is FileState.WHOLE
+    whole = found.state in (FileState.WHOLE, FileState.DAMAGED)
     return LogFile(path, _metadata(path), found.first_ns, found.last_ns, whole)
 
 

@@ -102,6 +102,7 @@ class LogWriter:
             self._stream,
             chunk_size=machine.log.chunk_kilobytes * 1024,
             compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
         )
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}

@@ -32,12 +32,14 @@ class Done:
     copied: int  # files
     there: int  # that had been copied before
     not_copied: tuple[str, ...]  # why each other file was not
+    damaged: tuple[str, ...] = ()  # what is wrong with files that were copied as they are
 
 
 def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda text: None) -> Done:
     """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.sidecar`."""
     copied = there = 0
     not_copied: list[str] = []
+    damaged: list[str] = []
     for path in run.files:
         sidecar = run.sidecar()
         known = sidecar.copied.get(path.name)
@@ -50,7 +52,7 @@ def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda t
         ):
             there += 1
             continue
-        why_not = _unready(path)
+        why_not = _unready(path, damaged)
         if why_not:
             not_copied.append(why_not)
             continue
@@ -61,7 +63,7 @@ def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda t
     if copied:
         with _in_words(to):
             shutil.copyfile(run.sidecar_path, to / run.sidecar_path.name)
-    return Done(copied, there, tuple(not_copied))
+    return Done(copied, there, tuple(not_copied), tuple(damaged))
 
 
 def copy(path: Path, to: Path) -> Copied:
@@ -91,13 +93,18 @@ def copy(path: Path, to: Path) -> Copied:
     return Copied(size, wanted, str(to))
 
 
-def _unready(path: Path) -> str:
-    """Why a file cannot be copied yet; one that was left unfinished is finished first."""
+def _unready(path: Path, damaged: list[str]) -> str:
+    """Why a file cannot be copied yet; one that was left unfinished is finished first.
+
+    damaged: gets what is wrong with one that is damaged, which is copied to the byte.
+    """
     with path.open("rb") as file:
         if is_finished(file, path.stat().st_size):
             return ""
     try:
         recovery.finish(path)
+    except recovery.Damaged as error:
+        damaged.append(str(error))
     except recovery.NoLog as error:
         return str(error)
     return ""

@@ -1,57 +1,57 @@
-"""Finishes, in place, log files that a power cut, a crash or a full disk has left unfinished.
+"""Finishes log files that a power cut, a crash or a full disk has left unfinished.
 
-Nothing that was written is taken away: the index is appended after the last whole record, and bytes in which
-no record is whole stay where they are, under a record of a private kind (opcode 128) that every reader of
-MCAP passes over. Only the nine bytes of its head and zeros at the end of the file are written over. A cut
-while a file is being finished leaves one that can be finished again.
+Only what Tilth wrote and what was cut: a file that is whole, or damaged in its middle, is never written to. A
+copy gets the index; it takes the place of the original once it has been read back, and until then the
+original stays as it was, whatever happens. The bytes of the record that was cut stay in the file, under a
+record of a private kind (opcode 128) that every reader of MCAP passes over.
 """
 
 import contextlib
 import fcntl
 import io
 import os
-import struct
-from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    ChunkIndex,
-    Header,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-)
+from mcap.records import Metadata
 
+from tilth.logger.log.disk import sync_folder
 from tilth.logger.log.mcap_file import (
-    DAMAGE,
     HEAD,
+    HOLE,
     MAGIC,
-    MESSAGE,
     UNREADABLE,
-    RecordPlace,
     body_of,
     is_finished,
-    next_chunk,
+    names_tilth,
     place_at,
-    unpacked,
-    walk,
 )
-from tilth.logger.log.mcap_index import Content, ending
+from tilth.logger.log.mcap_index import IndexedCopy
+from tilth.logger.log.mcap_records import TILTH, McapRecords
+from tilth.schemas.invocation import command
 
-_CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # start, end, size, crc, 4, "zstd", length
-_BLOCK = 1 << 20
-_LONGEST_HEADER = 1 << 16
+COPY: Final = ".recovering"  # behind a file's name: of the copy that is to take its place
+_BLOCK: Final = 1 << 20
+_LONGEST_HEADER: Final = 1 << 16
+# Written anew, or of no use without what they were written for.
+_NOT_COPIED: Final = frozenset({
+    Opcode.MESSAGE_INDEX, Opcode.DATA_END, Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET, Opcode.FOOTER,
+})  # fmt: skip
+_COPIED: Final = frozenset(range(1, 256)) - _NOT_COPIED
 
 
 class NoLog(Exception):
     """The file cannot be finished: it is none of ours, or another program is writing it."""
+
+
+class Damaged(NoLog):
+    """It is damaged in its middle, and was left as it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,29 +68,50 @@ class Finished:
 
 
 def finish(path: Path) -> Finished:
-    """Finish a file where it is not whole. Raises NoLog, and OSError where it cannot be read or written."""
-    with path.open("r+b") as file:
+    """Finish a file that was cut; one that is whole is not touched.
+
+    Raises Damaged, NoLog, and OSError where it cannot be read or its copy not be written.
+    """
+    with _held(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        written = _written(file, size)
+        if written < len(MAGIC) and _head(file, written) == MAGIC[:written]:
+            return _begun(path)
+        records, found = _read(path, file, size)
+        if not records.cut and not records.faults:
+            return found
+        if records.faults or (records.closed and written > records.tail):
+            raise Damaged(f"{path}: {_what(records)}")
+        kept = 0 if records.ends_in_index else max(0, written - records.tail)
+        return _replaced(path, file, size, kept)
+
+
+def rescue(path: Path, to: Path) -> Finished:
+    """Write what can be read of a log of Tilth's to a new file; the log itself is only read.
+
+    Raises NoLog, FileExistsError, OSError.
+    """
+    with _held(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        _read(path, file, size)
+        with to.open("xb"):
+            pass  # nothing is overwritten
+        try:
+            return _copied(path, file, size, to, 0)
+        except BaseException:
+            to.unlink(missing_ok=True)
+            raise
+
+
+@contextlib.contextmanager
+def _held(path: Path) -> Iterator[BinaryIO]:
+    """The file, which nobody else takes meanwhile. Raises NoLog where it is being written."""
+    with path.open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise NoLog(f"{path}: is being recorded; it is whole when that run has ended") from None
-        size = file.seek(0, io.SEEK_END)
-        whole = is_finished(file, size)
-        content = _survey(path, file, size)
-        if content.chunks and not content.header:
-            raise NoLog(f"{path}: is no log of tilth; finish it with what wrote it")
-        if not whole or content.bad:
-            _complete(file, size, content)
-        times = [t for chunk in content.chunks for t in (chunk.message_start_time, chunk.message_end_time)]
-        return Finished(
-            path=path,
-            was_whole=whole,
-            messages=content.counts.total(),
-            first_ns=min(times, default=0),
-            last_ns=max(times, default=0),
-            utc_minus_ns=content.utc_minus_ns,
-            unreadable_bytes=content.covered + sum(end - start for start, end in content.bad),
-        )
+        yield file
 
 
 def unfinished(folder: Path) -> list[Path]:
@@ -111,6 +132,9 @@ def unfinished(folder: Path) -> list[Path]:
 
 def finish_all(folder: Path, report: Callable[[str, str], None]) -> None:
     """Finish what earlier runs could not. report: takes kind and text of an event for each file."""
+    for copy in folder.glob(f"*{COPY}"):  # of a file that was finished or removed meanwhile
+        if not copy.with_suffix("").exists():
+            copy.unlink(missing_ok=True)
     for path in unfinished(folder):
         try:
             done = finish(path)
@@ -138,184 +162,137 @@ def is_ours(file: BinaryIO, size: int) -> bool:
     head = file.read(_LONGEST_HEADER)
     if not head.strip(b"\0"):
         return True
-    place = place_at(file, len(MAGIC), size) if head.startswith(MAGIC) else None
-    if place is None:  # cut within its first record
+    if not head.startswith(MAGIC):  # cut within it
         return MAGIC.startswith(head[: len(MAGIC)].rstrip(b"\0"))
-    return place.opcode == Opcode.HEADER and b"tilth" in head[place.body : place.end]
+    place = place_at(file, len(MAGIC), size)
+    if place is not None and place.opcode == Opcode.HEADER:
+        return names_tilth(body_of(file, place))
+    opcode, length = HEAD.unpack_from(head.ljust(len(MAGIC) + HEAD.size, b"\0"), len(MAGIC))
+    cut = opcode == HOLE or length > size - len(MAGIC) - HEAD.size
+    return cut or TILTH in head  # within its first record; that is damaged
 
 
-def _survey(path: Path, file: BinaryIO, size: int) -> Content:
-    """Read the whole file, every checksum verified. Raises NoLog."""
-    content = Content(end=len(MAGIC))
-    file.seek(0)
-    head = file.read(len(MAGIC))
-    if head != MAGIC:
-        begun = head.rstrip(b"\0")
-        if MAGIC.startswith(begun) and _is_zero(file, len(begun), size):
-            content.end = 0
-            return content
-        raise NoLog(f"{path}: is no MCAP file")
-    at = content.end
-    while at < size:
-        place = place_at(file, at, size)
-        if place is not None and _ends_data(file, place, size):
-            break
-        if place is None or not _take(content, file, place):
-            start, at = at, next_chunk(file, at + 1, size)
-            if place is not None and place.end < at and place_at(file, place.end, size):
-                at = place.end  # damaged, but it ends where another record begins
-            if at < size:
-                content.bad.append((start, at))
-            continue
-        content.end = at = place.end
-    _complete_definitions(content, file, at, size)
-    return content
-
-
-def _ends_data(file: BinaryIO, place: RecordPlace, size: int) -> bool:
-    """Whether what follows is the index, whole or not, which is written anew."""
-    ends = (place.opcode, place.end - place.body) == (Opcode.DATA_END, 4)
-    return ends and next_chunk(file, place.end, size) == size
-
-
-def _take(content: Content, file: BinaryIO, place: RecordPlace) -> bool:
-    """Note what a record tells; False where it is damaged."""
-    if place.opcode == UNREADABLE:
-        content.covered += place.end - place.start
-        return True
-    body = body_of(file, place)
-    stream = ReadDataStream(io.BytesIO(body))
-    try:
-        match place.opcode:
-            case Opcode.HEADER:
-                content.header = "tilth" in Header.read(stream).library
-            case Opcode.CHUNK:
-                _chunk(content, place, body)
-            case Opcode.MESSAGE_INDEX:
-                _message_index(content, place, MessageIndex.read(stream))
-            case Opcode.METADATA:
-                metadata = Metadata.read(stream)
-                if metadata.name == "clock":
-                    content.utc_minus_ns = int(metadata.metadata.get("utc_minus_t_ns", "0"))
-                content.metadata.append(MetadataIndex(place.start, place.end - place.start, metadata.name))
-            case Opcode.SCHEMA | Opcode.CHANNEL:
-                _define(content, place.opcode, body)
-            case _:
-                return False
-    except DAMAGE:
-        return False
-    return True
-
-
-def _chunk(content: Content, place: RecordPlace, body: bytes) -> None:
-    index: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    definitions = []
-    data = unpacked(body)
-    start, end = 0, len(data)
-    padded = data + bytes(MESSAGE.size)
-    while start < end:
-        opcode, length, channel, _, t_ns, _ = MESSAGE.unpack_from(padded, start)
-        stop = start + HEAD.size + length
-        if opcode == Opcode.MESSAGE:
-            index[channel].append((t_ns, start))
-        else:
-            definitions.append((opcode, data[start + HEAD.size : stop]))
-        start = stop
-    if start != end:
-        raise ValueError("the last record of the chunk runs past its end")
-    for opcode, definition in definitions:
-        _define(content, opcode, definition)
-    for channel, rows in index.items():
-        content.counts[channel] += len(rows)
-    times = [t_ns for rows in index.values() for t_ns, _ in rows]
-    _, _, size, _, _, compression, compressed = _CHUNK_HEAD.unpack_from(body)
-    content.chunks.append(
-        ChunkIndex(
-            chunk_start_offset=place.start,
-            chunk_length=place.end - place.start,
-            compression=compression.decode(),
-            compressed_size=compressed,
-            uncompressed_size=size,
-            message_start_time=min(times, default=0),
-            message_end_time=max(times, default=0),
-            message_index_offsets={},
-            message_index_length=0,
-        )
+def _what(records: McapRecords) -> str:
+    """What is wrong with a file that is left as it is, and what can be done."""
+    faults = [str(fault) for fault in records.faults] or [f"more follows its end, at byte {records.tail:,}"]
+    more = f" and at {len(faults) - 1} places more" if len(faults) > 1 else ""
+    return (
+        f"{faults[0]}{more}; it is left as it is, and `{command('recover')} FILE --out NEW.mcap` writes what "
+        "can be read"
     )
-    content.unindexed[place.start] = [MessageIndex(channel, rows) for channel, rows in index.items()]
 
 
-def _define(content: Content, opcode: int, body: bytes) -> None:
-    stream = ReadDataStream(io.BytesIO(body))
-    if opcode == Opcode.SCHEMA:
-        schema = Schema.read(stream)
-        content.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
-        channel = Channel.read(stream)
-        content.channels[channel.id] = channel
+def _read(path: Path, file: BinaryIO, size: int) -> tuple[McapRecords, Finished]:
+    """Read all of a file, every checksum verified. Raises NoLog, OSError."""
+    if _head(file, len(MAGIC)) != MAGIC:
+        raise NoLog(f"{path}: is no MCAP file")
+    with Path(os.devnull).open("wb") as nowhere:
+        records, found = _transferred(path, file, size, nowhere, 0)
+    if not records.is_tilths and (found.messages or not is_ours(file, size)):
+        raise NoLog(f"{path}: is no log of tilth, and is left as it is; what wrote it may finish it")
+    return records, found
 
 
-def _message_index(content: Content, place: RecordPlace, index: MessageIndex) -> None:
-    """Believed where it is that of the chunk before it, message for message."""
-    if not content.chunks:
-        raise ValueError("an index before the first chunk")
-    chunk = content.chunks[-1]
-    rows = content.unindexed.get(chunk.chunk_start_offset, ())
-    if index not in rows:
-        raise ValueError("not the index of the chunk before it")
-    chunk.message_index_offsets[index.channel_id] = place.start
-    chunk.message_index_length += place.end - place.start
-    if len(rows) == len(chunk.message_index_offsets):
-        del content.unindexed[chunk.chunk_start_offset]
+def _transferred(
+    path: Path, file: BinaryIO, size: int, out: BinaryIO, kept: int
+) -> tuple[McapRecords, Finished]:
+    """Write what can be read of a file, and an index. kept: bytes at its end that are kept unread."""
+    records = McapRecords(file, size, _COPIED, every_byte=True)
+    copy, utc_minus_ns = IndexedCopy(out, records.definitions), 0
+    for place, data in records:
+        if place.opcode == Opcode.CHUNK:
+            copy.chunk(body_of(file, place), data)
+        elif place.opcode != HOLE:
+            body = data[HEAD.size :]
+            copy.record(place.opcode, body)
+            if place.opcode == Opcode.METADATA:
+                utc_minus_ns = _utc_minus_ns(body, utc_minus_ns)
+    if kept:
+        file.seek(records.tail)
+        copy.record(UNREADABLE, file.read(kept))
+    copy.finish()
+    whole = not records.cut and not records.faults
+    return records, Finished(
+        path, whole, copy.counts.total(), copy.first_ns, copy.last_ns, utc_minus_ns, records.covered + kept
+    )
 
 
-def _complete_definitions(content: Content, file: BinaryIO, start: int, size: int) -> None:
-    """What a damaged chunk defined: from the index at the end, or else a name that says what is known."""
-    for place in walk(file, size, start):
-        if place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            with contextlib.suppress(*DAMAGE):
-                _define(content, place.opcode, body_of(file, place))
-    for id in content.counts:
-        content.channels.setdefault(id, Channel(id, f"/unknown/{id}", "protobuf", {}, 0))
-    for channel in content.channels.values():
-        if channel.schema_id and channel.schema_id not in content.schemas:
-            channel.schema_id = 0
-
-
-def _is_zero(file: BinaryIO, start: int, end: int) -> bool:
-    file.seek(start)
-    while start < end and (block := file.read(min(_BLOCK, end - start))):
-        if block.strip(b"\0"):
-            return False
-        start += len(block)
-    return True
-
-
-def _complete(file: BinaryIO, size: int, content: Content) -> None:
-    """Make the file a whole one."""
-    for start, end in content.bad:
-        if end - start < HEAD.size:
-            raise NoLog(f"{file.name}: is damaged in a way that cannot be mended in place, at byte {start}")
-        _cover(file, start, end)
-    end = content.end
-    place = place_at(file, end, size) if end else None
-    is_index = place is not None and _ends_data(file, place, size)
-    if end and not is_index and size - end >= HEAD.size and not _is_zero(file, end, size):
-        _cover(file, end, size)
-        content.bad.append((end, size))
-        end = size
-    # From here on the file is only appended to: what a cut in the middle of this leaves begins a new tail.
-    file.truncate(end)
-    file.seek(end)
+def _utc_minus_ns(metadata: bytes, before: int) -> int:
+    """By a record of the clocks; that of before by another one."""
+    found = Metadata.read(ReadDataStream(io.BytesIO(metadata)))
+    if found.name != "clock":
+        return before
     try:
-        file.write(b"".join(ending(content, end)))
-        file.flush()
-    except OSError:  # no room: a file without an index is finished another time, half an index is clutter
-        file.truncate(end)
-        raise
-    os.fsync(file.fileno())
+        return int(found.metadata.get("utc_minus_t_ns", "0"))
+    except ValueError:
+        return before
 
 
-def _cover(file: BinaryIO, start: int, end: int) -> None:
-    file.seek(start)
-    file.write(HEAD.pack(UNREADABLE, end - start - HEAD.size))
+def _replaced(path: Path, file: BinaryIO, size: int, kept: int) -> Finished:
+    """Put a copy with its index in the place of a file that was cut. Raises NoLog, OSError."""
+    original = Path(os.path.realpath(path))
+    copy = original.with_name(original.name + COPY)
+    if shutil.disk_usage(original.parent).free < size + _BLOCK:
+        raise NoLog(
+            f"{path}: there is no room for a copy, {size / 1e6:.1f} MB, which finishing it takes; make room. "
+            "It is left as it is"
+        )
+    try:
+        done = _copied(path, file, size, copy, kept)
+        now = os.fstat(file.fileno())
+        if not now.st_nlink:
+            raise FileNotFoundError(None, "it was removed meanwhile", str(path))
+        with contextlib.suppress(PermissionError):
+            os.chown(copy, now.st_uid, now.st_gid)
+        copy.chmod(now.st_mode & 0o7777)
+        copy.replace(original)
+        sync_folder(original.parent)
+    finally:
+        copy.unlink(missing_ok=True)
+    return done
+
+
+def _copied(path: Path, file: BinaryIO, size: int, to: Path, kept: int) -> Finished:
+    """Write what can be read to a file and read that back. Raises NoLog, OSError."""
+    with to.open("wb") as out:
+        _, found = _transferred(path, file, size, out, kept)
+        out.flush()
+        os.fsync(out.fileno())
+        with contextlib.suppress(OSError):  # what is read back comes from the disk
+            os.posix_fadvise(out.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    with to.open("rb") as copy:
+        again = McapRecords(copy, to.stat().st_size, every_byte=True)
+        for _ in again:
+            pass
+        if again.cut or again.faults:
+            raise NoLog(f"{path}: its copy is not what was written; it is left as it is, use another disk")
+    return replace(found, was_whole=False)
+
+
+def _begun(path: Path) -> Finished:
+    """Finish a file of which nothing reached the disk, in place: there is nothing to lose, and the recorder
+    that may have made it just now goes on with it."""
+    with path.open("r+b") as out:
+        out.truncate()
+        copy = IndexedCopy(out)
+        copy.finish()
+        out.flush()
+        os.fsync(out.fileno())
+    return Finished(path, False, 0, 0, 0, 0, 0)
+
+
+def _head(file: BinaryIO, length: int) -> bytes:
+    file.seek(0)
+    return file.read(length)
+
+
+def _written(file: BinaryIO, size: int) -> int:
+    """Where the zeros begin that a power cut has left at its end. Raises OSError."""
+    while size:
+        start = max(0, size - _BLOCK)
+        file.seek(start)
+        block = file.read(size - start).rstrip(b"\0")
+        if block:
+            return start + len(block)
+        size = start
+    return 0

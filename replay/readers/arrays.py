@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import kernel
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, MAGIC, unpacked
-from tilth.replay.readers.log import ForeignLog, OpenLog
-from tilth.replay.readers.mcap_reader import Channels, framed, from_summary, no_frames
+from tilth.logger.log.mcap_file import HEAD, MAGIC
+from tilth.replay.readers.log import ForeignLog, Gap, OpenLog
+from tilth.replay.readers.mcap_reader import Channels, LogRecords, no_frames
 from tilth.schemas.frame_columns import (
     CAN_ID,
     DATA,
@@ -55,7 +54,7 @@ class FrameArrays:
 
 
 def read_frames(*paths: Path | str) -> FrameArrays:
-    """The frames of Tilth's own logs, as far as each is whole; `skipped` counts what is not.
+    """The frames of Tilth's own logs, all that can be read; `skipped` counts what cannot.
 
     Raises ForeignLog for another file, EmptyLog for one without frames, OSError.
     """
@@ -84,15 +83,11 @@ def frame_parts(
         log = OpenLog(path, "MCAP", file, path.stat().st_size)
         if not MAGIC.startswith(file.read(len(MAGIC))):
             raise ForeignLog(f"{path}: no MCAP file; `{command('replay')}` reads other logs")
-        channels = Channels(log)
-        if from_summary(channels, file) and not channels.buses:
+        reading, channels = LogRecords(log), Channels(log)
+        if reading.define(channels) and not channels.buses:
             raise no_frames(log)
-        for opcode, body in framed(log):
-            try:
-                data = unpacked(body) if opcode == Opcode.CHUNK else HEAD.pack(opcode, len(body)) + body
-            except DAMAGE:
-                log.skip("damaged_chunk")
-            else:
+        for data in reading:
+            if not isinstance(data, Gap):
                 yield from _chunk(channels, data, buses)
             heard(log.position())
         if not channels.buses and not log.truncated:

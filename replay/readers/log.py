@@ -12,6 +12,8 @@ UNREADABLE = "unreadable_line"
 NO_DATE = "it has no date: its times count from its own start"
 NO_ZONE = "its dates have no time zone; they are taken as UTC, though a computer's clock shows local time"
 _YEAR_NS = 365 * 86_400 * 1_000_000_000
+CUT_OFF = "cut off; replayed as far as it is whole"
+MOST_TOLD = 8  # places that are damaged
 LATEST_NS = 2**63 - 1  # stamps are kept in 64 bits
 
 
@@ -66,7 +68,15 @@ class RunPlace:
         return self.run == last.run and (self.part > last.part or not self.part)
 
 
-Record = Frame | Snapshot | Logged
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Here messages are missing, since the log is damaged. t_ns: of the last one before, 0 for none."""
+
+    t_ns: int
+    text: str  # where, and what it cost
+
+
+Record = Frame | Snapshot | Logged | Gap
 
 
 def stamp_fault(t_ns: int) -> str:
@@ -78,7 +88,8 @@ def stamp_fault(t_ns: int) -> str:
 
 @dataclass(slots=True)
 class OpenLog:
-    """A log opened for reading; `truncated`, `skipped` and `note` are complete once `records` is used up.
+    """A log opened for reading; `truncated`, `skipped`, `note` and `damage` are complete once `records` is
+    used up.
 
     Records come in the order of the file, which is the order in which they were processed, and are never
     sorted, whatever their stamps say.
@@ -94,6 +105,7 @@ class OpenLog:
     truncated: bool = False  # the end is missing
     skipped: dict[str, int] = field(default_factory=dict)  # what was no frame for the decoder -> count
     note: str = ""  # what else a person should know of it
+    damage: list[str] = field(default_factory=list)  # where, and what it cost, in sentences
 
     def skip(self, reason: str) -> None:
         self.skipped[reason] = self.skipped.get(reason, 0) + 1
@@ -110,11 +122,14 @@ class OpenLog:
 
     def lacks(self) -> list[str]:
         """What is missing in it, in sentences without its name."""
-        found = ["cut off; replayed as far as it is whole"] if self.truncated else []
+        found = [CUT_OFF] if self.truncated else []
         found += [self.note] if self.note else []
-        if damaged := self.skipped.get("damaged_chunk"):
-            found.append(f"{damaged} damaged parts of it were left out")
-        return found
+        return [*found, *self.told_damage()]
+
+    def told_damage(self) -> list[str]:
+        """`damage`, the first places of it."""
+        more = len(self.damage) - MOST_TOLD
+        return self.damage[:MOST_TOLD] + ([f"damaged at {more} places more"] if more > 0 else [])
 
     def position(self) -> int:
         """Bytes read so far, for a progress bar."""

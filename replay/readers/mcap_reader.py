@@ -1,35 +1,26 @@
-"""Reads MCAP logs: frames, snapshots and the results logged live, in file order, as far as the file is whole.
+"""Reads MCAP logs: frames, snapshots and the results logged live, in file order. Damage costs only itself.
 
 Chunks are taken apart by `Channels.records`, at a fraction of what `iter_messages` costs. Where arrays of raw
 frames are enough, `arrays.read_frames` takes a fraction of that (bench/replay_speed.py).
 """
 
 import io
-from collections.abc import Container, Iterator
-from typing import BinaryIO
+from collections.abc import Iterator
 
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from tilth.logger.log.mcap_file import (
-    DAMAGE,
-    HEAD,
-    MAGIC,
-    MESSAGE,
-    body_of,
-    is_finished,
-    metadata_bodies,
-    summarised,
-    unpacked,
-    walk,
-)
+from tilth.logger.log.mcap_file import DAMAGE, HOLE, MESSAGE, is_finished
 from tilth.logger.log.mcap_log import CAN_TOPIC, SNAPSHOT_TOPIC
-from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged, OpenLog, Record
+from tilth.logger.log.mcap_records import McapRecords
+from tilth.logger.log.mcap_summary import metadata_bodies
+from tilth.replay.readers.log import EmptyLog, ForeignLog, Gap, Logged, OpenLog, Record
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
+DAMAGED = "damaged_chunk"  # how a part that cannot be read is counted
 MACHINE = "machine"  # metadata record: name, toml, dbc, sha256
 
 
@@ -41,9 +32,14 @@ class Channels:
         self.schemas: dict[int, str] = {}
         self.buses: dict[int, str] = {}  # channel -> bus
         self.others: dict[int, str] = {}  # channel -> topic, of snapshots and of the results asked for
+        self.known: set[int] = set()
         self.defined: set[int] = set()  # channels of schemas that are known
 
     def add(self, channel: Channel) -> None:
+        """Take a channel; a file appended to another gives its own numbers."""
+        self.buses.pop(channel.id, None)
+        self.others.pop(channel.id, None)
+        self.known.add(channel.id)
         if channel.schema_id in self.schemas:
             self.defined.add(channel.id)
         is_frame = self.schemas.get(channel.schema_id) == CanFrame.DESCRIPTOR.full_name
@@ -85,6 +81,8 @@ class Channels:
                     keep(Frame(t_ns, raw.rx_ns, bus, raw.can_id, raw.extended, raw.error, raw.data))
             elif channel in self.others:
                 keep(self._other(self.others[channel], t_ns, data[start + 31 : stop]))
+            elif channel not in self.known:  # in a cut log, what is damaged may have defined it
+                self.log.skip("undefined_channel")
             start = stop
         return found
 
@@ -93,26 +91,57 @@ class Channels:
 
 
 def records(log: OpenLog) -> Iterator[Record]:
-    """Frames, snapshots and the results of log.topics, in file order.
+    """Frames, snapshots and the results of log.topics, in file order, and a Gap where some are missing.
 
-    A chunk that is damaged is left out and counted; at the end log.truncated says whether the file was cut.
-    Raises ForeignLog for a whole file without frames of this software.
+    What is damaged costs only itself: it is left out, counted and told in log.damage; log.truncated says at
+    the end whether the file was cut. Raises ForeignLog for a whole file without frames of this software.
     """
+    reading = LogRecords(log)
     channels = Channels(log)
-    if from_summary(channels, log.file) and not channels.buses:
+    if reading.define(channels) and not channels.buses:
         raise no_frames(log)
-    for opcode, body in framed(log):
+    for data in reading:
+        if isinstance(data, Gap):
+            yield data
+            continue
         try:
-            if opcode == Opcode.CHUNK:
-                found = channels.records(unpacked(body))
-            else:  # of a file without chunks
-                found = channels.records(HEAD.pack(opcode, len(body)) + body)
+            found = channels.records(data)
         except DAMAGE:
-            log.skip("damaged_chunk")
+            log.skip(DAMAGED)
         else:
             yield from found
     if not channels.buses and not log.truncated:
         raise no_frames(log)
+
+
+class LogRecords:
+    """The records of a log, piece by piece, as `McapRecords` gives them; what is wrong goes to the log."""
+
+    def __init__(self, log: OpenLog) -> None:
+        self._log = log
+        self._records = McapRecords(log.file, log.size)
+
+    @property
+    def definitions(self) -> bytes:
+        """As McapRecords.definitions."""
+        return self._records.definitions
+
+    def define(self, channels: Channels) -> bool:
+        """Learn the channels from the index of a file, since a damaged first chunk costs only itself then;
+        False where there is no index: the chunks define the channels as well."""
+        channels.records(self.definitions)
+        return bool(channels.defined)
+
+    def __iter__(self) -> Iterator[bytes | Gap]:
+        """Whole MCAP records, of a chunk or one alone; a Gap where messages are missing."""
+        for place, data in self._records:
+            if place.opcode != HOLE:
+                yield data
+            elif (lost := self._records.lost) is not None:
+                self._log.skip(DAMAGED)
+                yield Gap(lost.from_ns, str(lost))
+        self._log.damage += map(str, self._records.faults)
+        self._log.truncated = self._records.cut
 
 
 def metadata(log: OpenLog) -> dict[str, dict[str, str]]:
@@ -126,35 +155,6 @@ def metadata(log: OpenLog) -> dict[str, dict[str, str]]:
             log.skip("damaged_metadata")
         else:
             found.setdefault(record.name, record.metadata)
-    return found
-
-
-_WANTED = {Opcode.CHUNK, Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL}
-
-
-def framed(log: OpenLog, wanted: Container[int] = _WANTED) -> Iterator[tuple[int, bytes]]:
-    """(opcode, body) of the wanted records; sets log.truncated where the file ends without its footer."""
-    log.truncated = True
-    for place in walk(log.file, log.size):
-        if place.opcode == Opcode.FOOTER:
-            log.file.seek(place.end)
-            log.truncated = log.file.read(len(MAGIC)) != MAGIC
-        elif place.opcode in wanted:
-            yield place.opcode, body_of(log.file, place)
-
-
-def from_summary(channels: Channels, file: BinaryIO) -> bool:
-    """Learn the channels from the index of a finished file: a damaged first chunk costs only itself then.
-
-    False where there is no such index: the chunks define the channels as well.
-    """
-    found = False
-    try:
-        for opcode, body in summarised(file, channels.log.size):
-            channels.definition(opcode, body)
-            found |= opcode == Opcode.CHANNEL
-    except DAMAGE:
-        return False
     return found
 
 

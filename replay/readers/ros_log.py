@@ -17,7 +17,9 @@ import json
 import re
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Final
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -27,11 +29,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
 
-from tilth.logger.log.mcap_file import DAMAGE, HEAD, summarised, unpacked
+from tilth.logger.log.mcap_file import DAMAGE, HEAD
 from tilth.logger.log.mcap_log import CAN_TOPIC
+from tilth.logger.log.mcap_records import McapRecords
 from tilth.replay.readers.columns import frame_of, role_of
-from tilth.replay.readers.log import OpenLog, stamp_fault
-from tilth.replay.readers.mcap_reader import framed
+from tilth.replay.readers.log import Gap, OpenLog, stamp_fault
+from tilth.replay.readers.mcap_reader import LogRecords
 from tilth.replay.readers.text_clock import SECOND
 from tilth.schemas.flow import Frame
 from tilth.schemas.proto.tilth_pb2 import CanFrame
@@ -260,58 +263,47 @@ class _Channels:
 
 def is_one(log: OpenLog) -> bool:
     """Whether an MCAP log holds CAN frames of ROS and none of this software; read until that is known."""
-    channels = _Channels()
-    truncated = log.truncated
-    try:
-        for opcode, body in summarised(log.file, log.size):
+    channels, records = _Channels(), McapRecords(log.file, log.size)
+    pieces = chain([records.definitions], (data for _, data in records))
+    for opcode, body in chain.from_iterable(map(_inner, pieces)):
+        if opcode == Opcode.MESSAGE:
+            continue
+        with suppress(*DAMAGE):  # said where it is read
             channels.definition(opcode, body)
-            if channels.own:
-                return False
-        if not (channels.own or channels.decoders):
-            for opcode, body in _records(log):
-                if opcode != Opcode.MESSAGE:
-                    channels.definition(opcode, body)
-                if channels.own or channels.decoders:
-                    break
-    except DAMAGE:
-        pass  # said where it is read
-    log.truncated = truncated
-    log.skipped.clear()
+        if channels.own or channels.decoders:
+            break
     return bool(channels.decoders) and not channels.own
 
 
-def _records(log: OpenLog) -> Iterator[tuple[int, bytes]]:
-    """(opcode, body) of schemas, channels and messages, those of chunks among them."""
-    for opcode, body in framed(log):
-        if opcode != Opcode.CHUNK:
-            yield opcode, body
-            continue
-        try:
-            data = unpacked(body)
-        except DAMAGE:
-            log.skip("damaged_chunk")
-            continue
-        at = 0
-        while at + HEAD.size <= len(data):
-            inner, length = HEAD.unpack_from(data, at)
-            at += HEAD.size + length
-            yield inner, data[at - length : at]
+def _inner(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """(opcode, body) of whole MCAP records, one after the other."""
+    at = 0
+    while at + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, at)
+        at += HEAD.size + length
+        yield opcode, data[at - length : at]
 
 
-def frames(log: OpenLog) -> Iterator[Frame]:
-    """Its CAN frames in file order."""
+def frames(log: OpenLog) -> Iterator[Frame | Gap]:
+    """Its CAN frames in file order; a Gap where messages are missing."""
     log.form = FORM
-    channels = _Channels()
-    try:
-        for opcode, body in summarised(log.file, log.size):
+    channels, records = _Channels(), LogRecords(log)
+    for opcode, body in _inner(records.definitions):
+        with suppress(*DAMAGE):  # its data define them too
             channels.definition(opcode, body)
-    except DAMAGE:
-        pass  # its data define them too
-    return _frames(log, channels)
+    return _frames(log, channels, records)
 
 
-def _frames(log: OpenLog, channels: _Channels) -> Iterator[Frame]:
-    for opcode, body in _records(log):
+def _frames(log: OpenLog, channels: _Channels, records: LogRecords) -> Iterator[Frame | Gap]:
+    for piece in records:
+        if isinstance(piece, Gap):
+            yield piece
+        else:
+            yield from _frames_of(log, channels, piece)
+
+
+def _frames_of(log: OpenLog, channels: _Channels, data: bytes) -> Iterator[Frame]:
+    for opcode, body in _inner(data):
         try:
             if opcode != Opcode.MESSAGE:
                 channels.definition(opcode, body)

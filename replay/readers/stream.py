@@ -1,5 +1,6 @@
 """The bytes of a log as a stream: unpacked, and without the zero bytes that a power cut leaves behind."""
 
+import contextlib
 import io
 import re
 import zlib
@@ -15,6 +16,8 @@ PACKED: Final = b"\x1f\x8b"  # how gzip begins
 CHUNK: Final = 16 * 1024
 BUFFER: Final = 64 * 1024
 TAIL: Final = 64  # zeros that are too many for the end of any record
+_MEMBER: Final = b"\x1f\x8b\x08"  # how each member begins: gzip, deflated
+_BROKEN: Final = b"\0\n"  # ends a line of text, which is not read then
 _GZIP: Final = 31  # zlib's number for: gzip, with its header
 _ZEROS: Final = re.compile(rb"\0+")
 
@@ -88,13 +91,38 @@ def _members(log: OpenLog) -> Iterator[bytes]:
             except zlib.error:
                 yield from _up_to_damage(before, piece)
                 log.skip("damaged_gzip")
-                log.truncated = True
-                return
+                piece = _next_member(log, piece[1:])
+                if not piece:
+                    log.truncated = True
+                    return
+                member = zlib.decompressobj(_GZIP)
+                yield _BROKEN
+                continue
             if found:
                 yield found
             piece = member.unused_data
     if not member.eof:
         log.truncated = True
+
+
+def _next_member(log: OpenLog, rest: bytes) -> bytes:
+    """What is read from the beginning of the next member on that can be unpacked; b"" where there is none.
+    rest: what was read behind the damage."""
+    while True:
+        at = rest.find(_MEMBER)
+        if at >= 0 and len(rest) - at < CHUNK and (more := log.file.read(CHUNK)):
+            rest += more
+        elif at >= 0:
+            with contextlib.suppress(zlib.error):
+                zlib.decompressobj(_GZIP).decompress(rest[at : at + CHUNK])
+                return rest[at:]
+            rest = rest[at + 1 :]
+        else:
+            rest = rest[-len(_MEMBER) + 1 :] if rest else b""
+            more = log.file.read(CHUNK)
+            if not more:
+                return b""
+            rest += more
 
 
 def _up_to_damage(member: "zlib._Decompress", piece: bytes) -> Iterator[bytes]:

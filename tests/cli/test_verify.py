@@ -42,8 +42,9 @@ def test_damage_and_cuts_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[
     second.write_bytes(second.read_bytes()[:-100])
     assert main(["verify", str(first), str(second)]) == 1
     output = capsys.readouterr().out
-    assert "chunks that cannot be read (1)" in output and "tilth recover` finishes it" in output
-    assert main(["recover", str(first), str(second)]) == 0
+    assert "_001.mcap: damaged at byte " in output and "tilth recover` finishes it" in output
+    assert main(["recover", str(first), str(second)]) == 1
+    assert first.read_bytes() == content
     assert main(["verify", str(second)]) == 1
     assert "part 2 comes first" in capsys.readouterr().out.splitlines()[-2]
     (tmp_path / "text.mcap").write_text("hello")

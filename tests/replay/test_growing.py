@@ -14,6 +14,7 @@ from paths import ROOT
 
 from tilth.cli import main
 from tilth.logger.log.mcap_file import HEAD, RecordPlace, walk
+from tilth.logger.log.recovery import finish
 from tilth.replay.growing import LOST, FollowedLogs, GrowingLog, opening_machine
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import EmptyLog
@@ -215,8 +216,7 @@ def test_a_damaged_length_stops_nothing(log: Path, tmp_path: Path, opcode: int, 
     found += following.frames()
     gone = [row for row in whole if row not in found]
     assert [row for row in whole if row not in gone] == found and following.finished
-    assert len(gone) <= 2 * len(whole) // len(chunks) and (opcode == Opcode.MESSAGE_INDEX or gone)
-    assert 1 <= following.skipped["damaged_chunk"] <= 2
+    assert not gone and following.skipped.get("damaged_chunk", 0) <= 1  # a chunk is known by its content
 
 
 @pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.METADATA, Opcode.DATA_END])
@@ -228,10 +228,11 @@ def test_a_damaged_length_at_the_end_is_not_waited_for(log: Path, tmp_path: Path
     path.write_bytes(_with_length(path, _places(path, opcode)[-1], 1 << 40))
     kept = _drained(path)
     assert kept == rows[: len(kept)]
-    assert 900 < len(kept) < 1000 if opcode == Opcode.CHUNK else len(kept) == 1000
+    assert len(kept) == 1000
     followed = FollowedLogs(MACHINE, [], {}, write_mcap(after, rows[1000:]))
     assert list(followed.measurements()) == _measured([*kept, *rows[1000:]])
-    assert followed.notes == [f"{path.name}: damaged and left out: 1. All else counts."]
+    told = [] if opcode == Opcode.CHUNK else [f"{path.name}: damaged and left out: 1. All else counts."]
+    assert followed.notes == told
     followed.close()
 
 
@@ -299,3 +300,15 @@ def test_a_log_that_is_overwritten_is_named_and_costs_nothing_before(
     lose(path)
     assert before > 100 and list(logs.measurements()) == []
     assert logs.notes == [LOST.format(path.name)]
+
+
+def test_a_part_that_is_finished_meanwhile_counts_once(log: Path, tmp_path: Path) -> None:
+    """A copy takes its place, with another inode."""
+    rows = list(frames(log))[:1000]
+    path = write_mcap(tmp_path / f"{RUNS[0]}_001.mcap", rows[:500], finish=False)
+    followed = FollowedLogs(MACHINE, [], {}, write_mcap(tmp_path / f"{RUNS[0]}_002.mcap", rows[500:]))
+    found = list(followed.measurements())
+    finish(path)
+    followed.rescan()
+    assert [*found, *followed.measurements()] == _measured(rows)
+    followed.close()

@@ -6,7 +6,8 @@ import pytest
 from mcap.opcode import Opcode
 from report_run import WrittenRun, write_run
 
-from tilth.logger.log.mcap_file import body_of, metadata_bodies, times_of, walk
+from tilth.logger.log.mcap_file import body_of, walk
+from tilth.logger.log.mcap_summary import metadata_bodies, times_of
 from tilth.replay.glance import brief, glance
 
 
