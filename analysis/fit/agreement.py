@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,8 @@ def _agree(rows: Sequence[tuple[Array, Array]], between_m: Sequence[float]) -> A
 
 def _left(design: Array, observed: Array) -> tuple[float, int]:
     """Sum of squares that the best unknowns leave, and the rank."""
-    best, _, rank, _ = lstsq(design, observed, cond=1e-9, lapack_driver="gelsy")
+    found: Any = lstsq(design, observed, cond=1e-9, lapack_driver="gelsy")
+    best, _, rank, _ = found
     return float(np.sum((observed - design @ best) ** 2)), int(rank)
 
 
