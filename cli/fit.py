@@ -151,6 +151,9 @@ def _show(answer: dict[str, Any]) -> None:
     if len(answer["runs"]) > 1:
         console.print(_table("all together", answer["joint"]["parameters"]))
         console.print(answer["agreement"]["sentence"])
+        for group in answer["groups"]:
+            if len(group["segments"]) > 1:
+                console.print(_table(f"together: {group['name']}", group["parameters"]))
 
 
 def _title(run: dict[str, Any]) -> str:

@@ -18,9 +18,9 @@ from numpy.random import default_rng
 from numpy.typing import NDArray
 
 from tilth.analysis.fit.fitting import Fitted
-from tilth.analysis.fit.joint import Joint, Linearised, Told, join
+from tilth.analysis.fit.joint import Joint, Linearised, join
 from tilth.analysis.fit.segment_fit import FittedWindow
-from tilth.analysis.fit.window_terms import Terms, terms_at
+from tilth.analysis.fit.window_terms import Terms, Told, terms_at
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NOISE, SIX

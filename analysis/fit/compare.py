@@ -83,7 +83,9 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> FitComparison:
     found = float(change @ np.linalg.solve(whole[np.ix_(both, both)], change)) if both else 0.0
     p = float(chdtrc(len(both), found)) if both else 1.0
     missing = tuple(name for k, name in enumerate(PARAMETERS) if k not in both)
-    sentence = _sentence(parameters, nuisances, found, len(both), p)
+    reasons = (a["parameters"][name]["reason"] for name in missing for a in (one, other))
+    why = next((f" ({reason})" for reason in reasons if reason), "")
+    sentence = _sentence(parameters, nuisances, found, len(both), p, why)
     return FitComparison(parameters, nuisances, found, len(both), p, missing, sentence)
 
 
@@ -107,10 +109,12 @@ def _difference(name: str, first: float, second: float, change: float, sd: float
 
 
 def _sentence(
-    parameters: tuple[Difference, ...], nuisances: tuple[Difference, ...], found: float, dof: int, p: float
-) -> str:
+    parameters: tuple[Difference, ...], nuisances: tuple[Difference, ...], found: float, dof: int, p: float,
+    why: str,
+) -> str:  # fmt: skip
+    """why: a parameter is not given by both."""
     if not dof:
-        return "Neither gives a parameter that the other gives, too."
+        return f"Neither gives a parameter that the other gives, too{why}."
     spread = f"chi-square {found:.1f} with {dof} degrees of freedom, p = {p:.2g}"
     told = [
         f"{one.name} × {math.exp(one.change):.2f} ({low:.2f} to {high:.2f})"

@@ -21,6 +21,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from tilth.analysis.fit.agreement import groups
 from tilth.analysis.fit.joint import Joint, Linearised, join, linearise
 from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_segment
 from tilth.analysis.fit.side_by_side import side_by_side
@@ -71,6 +72,9 @@ class Fitted:
     told: tuple[int, ...]  # the segments of which pem has fitted something
     linearised: Linearised | None  # those; None where there is none
     joint: Joint | None
+    groups: tuple[tuple[tuple[int, ...], Joint], ...] = ()
+    """Where the segments do not agree: those that do among themselves, as indices of `wanted`, and each
+    group's own posterior."""
 
 
 def choose(
@@ -185,7 +189,12 @@ def fit_all(
         with side_by_side(len(told), jobs) as each:
             linearised = linearise(machine, [fits[k] for k in told], between, each)
         _store(together, linearised, machine.log)
-    return Fitted(tuple(wanted), fits, told, linearised, join(machine, linearised))
+    joint = join(machine, linearised)
+    apart = () if joint.agreement.agrees else groups(machine, linearised.told, linearised.between_m)
+    return Fitted(
+        tuple(wanted), fits, told, linearised, joint,
+        tuple((tuple(told[k] for k in rows), join(machine, linearised, rows)) for rows in apart),
+    )  # fmt: skip
 
 
 def _fit_these(

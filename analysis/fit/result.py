@@ -5,6 +5,7 @@ SI; an sd is in the unit of its value.
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -25,20 +26,38 @@ Array = NDArray[np.float64]
 
 
 def as_json(fitted: Fitted) -> dict[str, Any]:
-    """{"runs": […], "joint": …, "agreement": …, "simulated": whether no tractor drove}; "joint" and
-    "agreement" None where nothing was told."""
-    joint = fitted.joint
+    """{"runs": […], "joint": …, "agreement": …, "groups": […], "simulated": whether no tractor drove};
+    "joint" and "agreement" None where nothing was told, "groups" empty where the segments agree."""
+    joint, ids = fitted.joint, [one.id for one in fitted.wanted]
+    apart = "; ".join(_listed(ids, rows) for rows, _ in fitted.groups)
     return {
         "runs": [_run(one, fit) for one, fit in zip(fitted.wanted, fitted.fits, strict=True)],
-        "joint": None if joint is None else _joint(joint),
+        "joint": None if joint is None else _joint(joint, apart),
         "simulated": any(one.run.simulated for one in fitted.wanted),
-        "agreement": None
-        if joint is None
-        else {
-            "chi2": joint.agreement.chi2, "dof": joint.agreement.dof, "p": joint.agreement.p,
-            "sentence": joint.agreement.sentence,
-        },
-    }  # fmt: skip
+        "agreement": None if joint is None else asdict(joint.agreement),
+        "groups": [
+            {
+                "segments": [ids[k] for k in rows],
+                "name": _listed(ids, rows),
+                **_joint(one, ""),
+                "agreement": asdict(one.agreement),
+            }
+            for rows, one in fitted.groups
+        ],
+    }
+
+
+def _listed(ids: Sequence[str], rows: Sequence[int]) -> str:
+    """Segments in words, such as: 1.1, 2.3 to 2.7."""
+    stretches: list[list[int]] = []
+    for k in rows:
+        if stretches and k == stretches[-1][-1] + 1:
+            stretches[-1].append(k)
+        else:
+            stretches.append([k])
+    return ", ".join(
+        ids[one[0]] if len(one) == 1 else f"{ids[one[0]]} to {ids[one[-1]]}" for one in stretches
+    )
 
 
 def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
@@ -74,14 +93,25 @@ def _square(numbers: Sequence[float]) -> list[list[float]] | None:
     return np.array(numbers).reshape(6, 6).tolist() if numbers else None
 
 
-def _joint(joint: Joint) -> dict[str, Any]:
+def _joint(joint: Joint, apart: str) -> dict[str, Any]:
+    """apart: names of the groups that agree, where not all do."""
+    none = "the segments do not agree, so no one number holds for all"
+    if apart:
+        none += f"; those that agree among themselves: {apart}"
     variances, moved = np.diag(joint.covariance).tolist(), (joint.mean - joint.prior_mean).tolist()
     sds = np.sqrt(variances)
     return {
         "parameters": {
-            name: _parameter(float(joint.mean[k]), float(sds[k]), float(joint.prior_sd[k]))
+            name: _parameter(
+                float(joint.mean[k]),
+                float(sds[k]),
+                float(joint.prior_sd[k]),
+                none if joint.refused[k] else "",
+            )
             for k, name in enumerate(PARAMETERS)
         },
+        "between_sd": dict(zip(PARAMETERS, joint.between_sd.tolist(), strict=True)),
+        "new_segment_sd": dict(zip(PARAMETERS, joint.new_segment_sd.tolist(), strict=True)),
         "log_covariance": joint.covariance[SIX, SIX].tolist(),
         "nuisances": {
             name: {
@@ -95,10 +125,10 @@ def _joint(joint: Joint) -> dict[str, Any]:
     }
 
 
-def _parameter(log: float, sd: float, prior_sd: float) -> dict[str, Any]:
-    """As of an estimate: without a number where the data leave too much."""
-    if not is_supported(False, sd, prior_sd):
-        reason = sentence(Reason(Code.WIDE, numbers=(sd,)))
+def _parameter(log: float, sd: float, prior_sd: float, refused: str) -> dict[str, Any]:
+    """As of an estimate: without a number where the data leave too much, or where it is refused."""
+    if refused or not is_supported(False, sd, prior_sd):
+        reason = refused or sentence(Reason(Code.WIDE, numbers=(sd,)))
         return {"value": None, "sd": None, "status": Status.UNESTIMATED.name.lower(), "reason": reason}
     value = math.exp(log)
     return {"value": value, "sd": value * sd, "status": Status.ESTIMATED.name.lower(), "reason": ""}

@@ -4,9 +4,7 @@ As in pem, the ground's shaking may tell of other tyres than steering does (like
 Noise levels stay as each window's own fit has them.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +12,10 @@ from numpy.typing import NDArray
 from tilth.analysis.fit.segment_fit import FittedWindow
 from tilth.estimator.filters import fit_covariance, likelihood, scoring, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.unknowns import NOISE, SIX
+from tilth.estimator.filters.unknowns import NOISE
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
-
-MOST_STEPS: Final = 10  # of Newton to the common point; the later ones are halved
-SETTLED: Final = 0.1  # of a sd of the six: a step this small ends it
-LONGEST: Final = 0.5  # prior sds, of one step
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +27,9 @@ class Terms:
     scores: Array  # (a, a), covariance of the gradient with its correlation over time
     whiteness: float
     model_sd: Array  # (6,)
+
+
+Told = tuple[Terms, ...]  # of the windows of one segment
 
 
 def places(machine: Machine) -> NDArray[np.int64]:
@@ -66,18 +63,3 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
         fit_covariance.whiteness(search.record.rows, search.scored, at.e, at.S),
         fit_covariance.model_sd_of(window.record, here),
     )
-
-
-def newton(machine: Machine, terms: Sequence[Terms], point: Array, share: float = 1.0) -> tuple[Array, float]:
-    """(next point [n], largest step of the six, sds): a share of a step of Newton. The prior counts once."""
-    mean, sd = unknowns.prior(machine)
-    shared = places(machine)
-    prior = np.diag(sd[shared] ** -2.0)
-    information = prior + sum(one.information for one in terms)
-    gradient = prior @ (point - mean)[shared] + sum(one.gradient for one in terms)
-    step = np.asarray(np.linalg.solve(information, -gradient), np.float64)
-    step /= max(1.0, float(np.max(np.abs(step) / (LONGEST * sd[shared]))))
-    sds = np.sqrt(np.diag(np.linalg.inv(information)))
-    moved = point.copy()
-    moved[shared] += share * step
-    return moved, float(np.max(np.abs(step / sds)[SIX]))

@@ -1,8 +1,9 @@
 """Whether the fits hold: drives predicted that were not fitted, and what residuals tell.
 
 held_out: {"subsets": [{"fitted": [ids], "cells": [{"run": id, "tractor_m", "implement_m", "held_out":
-bool, "fit_percent": {output: %}, "horizon_rms": {s ahead: {output: SI}}, "gain": nats}]}]}, RMS distances
-between predicted and driven paths, m; what could not be computed is None or absent.
+bool, "fit_percent": {output: %}, "horizon_rms": {s ahead: {output: SI}}, "gain": nats}], "refused": why
+there are none}]}, RMS distances between predicted and driven paths, m; what could not be computed is None or
+absent.
 
 residuals: a list of tests, made plain by `document.plain`: {"output", "outcome": passed, failed or undecided,
 "p_value", "sentence"}, with "test": what was tested, or the name of the class that held it (TESTS).
@@ -43,9 +44,11 @@ def held_out_section(held_out: Mapping[str, Any] | None) -> ReportSection | None
     if not subsets:
         return None
     runs = list(dict.fromkeys(str(cell["run"]) for subset in subsets for cell in subset["cells"]))
+    refused = [subset for subset in subsets if subset.get("refused")]
     rows = tuple(
         (ReportCell(", ".join(map(str, subset["fitted"])) or "none: machine file"), *_cells(subset, runs))
         for subset in subsets
+        if not subset.get("refused")
     )
     columns = ("fitted to", *(f"{run}: {body}, m" for run in runs for body in ("tractor", "implement")))
     caption = (
@@ -54,6 +57,9 @@ def held_out_section(held_out: Mapping[str, Any] | None) -> ReportSection | None
     )
     table = ReportTable("held-out", caption, columns, rows)
     parts: list[Part] = [*_in_words(subsets), table, *_outputs_table(subsets)]
+    if refused:
+        named = "; ".join(", ".join(map(str, subset["fitted"])) for subset in refused)
+        parts.insert(1, ReportText(f"Nothing is predicted from segments that do not agree: {named}."))
     return ReportSection("prediction", "Prediction of drives", tuple(parts))
 
 

@@ -2,8 +2,9 @@
 
 fit: {"runs": [{"id", "log", "start_s", "end_s", "kind", "name", "parameters": {C_af: {"value", "sd",
 "status", "reason"}, …}, "nuisances", "log_covariance": 6 x 6 or None, "seconds"}, …], "joint": {"parameters",
-"log_covariance", "nuisances"} or None, "agreement": {"chi2", "dof", "p", "sentence"} or None,
-"notes": [what else is to be said]}; SI.
+"log_covariance", "nuisances"} or None,
+"groups": [the same with "segments": [id, …] and "name", …],
+"agreement": {"chi2", "dof", "p", "sentence"} or None, "notes": [what else is to be said]}; SI.
 """
 
 from collections.abc import Mapping
@@ -54,6 +55,8 @@ def _value(found: Mapping[str, Any], name: str) -> float | None:
 def _rows(fit: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """What each row is called, and its fit."""
     rows = [(str(one["id"]), one) for one in fit.get("runs") or ()]
+    several = [one for one in fit.get("groups") or () if len(one["segments"]) > 1]
+    rows += [(f"together: {one['name']}", one) for one in several]
     return [*rows, (TOGETHER, fit["joint"])] if fit.get("joint") else rows
 
 

@@ -6,7 +6,7 @@ else left to the model: nothing corrects it after its start.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations, islice
 from typing import Any, Final
@@ -84,7 +84,8 @@ class Subset:
     """Parameters of some runs, and how they predict every run."""
 
     fitted: tuple[str, ...]  # none: the machine file's
-    cells: tuple[Cell, ...]
+    cells: tuple[Cell, ...]  # none where it is refused
+    refused: str = ""  # why there are no parameters of these together
 
 
 def predictable(machine: Machine, id: str, driven: Sequence[Driven], point: Array) -> Predictable | None:
@@ -109,11 +110,13 @@ def predictable(machine: Machine, id: str, driven: Sequence[Driven], point: Arra
 
 
 def table(
-    machine: Machine, runs: Sequence[Predictable], estimates: dict[tuple[str, ...], Array], each: Map = map
-) -> tuple[Subset, ...]:
+    machine: Machine, runs: Sequence[Predictable], estimates: Mapping[tuple[str, ...], Array | str],
+    each: Map = map,
+) -> tuple[Subset, ...]:  # fmt: skip
     """Each subset's parameters over each run; the machine file's first.
 
-    estimates: ids of the runs that were fitted -> [n] of unknowns.NAMES. each: as `map`.
+    estimates: ids of the runs that were fitted -> [n] of unknowns.NAMES, or why there is none. each: as
+    `map`.
     """
     setup, prior = rig_setup(machine), unknowns.prior(machine)[0]
     rows = [((), prior), *estimates.items()]
@@ -122,10 +125,14 @@ def table(
     asked = [
         (setup, run, point, before[run.id], run.id not in ids, ids in whole)
         for ids, point in rows
+        if not isinstance(point, str)
         for run in runs
     ]
     cells = iter(each(_cell, *zip(*asked, strict=True)) if asked else ())
-    return tuple(Subset(ids, tuple(islice(cells, len(runs)))) for ids, _ in rows)
+    return tuple(
+        Subset(ids, (), point) if isinstance(point, str) else Subset(ids, tuple(islice(cells, len(runs))))
+        for ids, point in rows
+    )
 
 
 def way(machine: Machine, run: Predictable, point: Array) -> tuple[Array, Array]:
@@ -145,7 +152,12 @@ def way(machine: Machine, run: Predictable, point: Array) -> tuple[Array, Array]
 def as_json(subsets: Sequence[Subset]) -> list[dict[str, Any]]:
     """The table as it stands in a report; numbers that do not exist are None."""
     return [
-        {"fitted": list(one.fitted), "cells": [_plain(asdict(cell)) for cell in one.cells]} for one in subsets
+        {
+            "fitted": list(one.fitted),
+            "cells": [_plain(asdict(cell)) for cell in one.cells],
+            "refused": one.refused,
+        }
+        for one in subsets
     ]
 
 

@@ -56,7 +56,7 @@ def hold_out(
 ) -> tuple[Subset, ...]:
     """Parameters of every subset of the segments, over every segment; () where none told anything.
 
-    A single segment's parameters are those of its own fit.
+    A single segment's parameters are those of its own fit; segments that do not agree have none together.
     """
     if fitted.linearised is None:
         return ()
@@ -70,11 +70,10 @@ def hold_out(
         if run is not None:
             runs.append(run)
             places[run.id] = at
-    estimates = {}
+    estimates: dict[tuple[str, ...], Array | str] = {}
     for ids in held_out.subsets(list(places)):
-        alone = fitted.fits[fitted.told[places[ids[0]]]].mean
-        chosen = [places[id] for id in ids]
-        estimates[ids] = alone if len(ids) == 1 else join(machine, fitted.linearised, chosen).mean
+        joint = join(machine, fitted.linearised, [places[id] for id in ids])
+        estimates[ids] = "these segments do not agree" if joint.refused.any() else joint.mean
     with side_by_side(len(runs) * len(estimates)) as each:
         return held_out.table(machine, runs, estimates, each)
 
@@ -165,7 +164,9 @@ def responses(fitted: Fitted, previous: Array | None = None) -> dict[str, Measur
     if fitted.joint is None:
         return {}
     machine, mean = fitted.wanted[0].run.machine, fitted.joint.mean
-    rigs = {INITIAL: rig_of(machine), ESTIMATED: fitted_rig(machine, mean)}
+    rigs = {INITIAL: rig_of(machine)}
+    if not fitted.joint.refused.any():
+        rigs[ESTIMATED] = fitted_rig(machine, mean)
     if previous is not None:
         rigs[PREVIOUS] = fitted_rig(machine, previous)
     wheel = float(mean[AT["wheel_zero"]]), math.exp(mean[AT["wheel_gain"]])

@@ -37,7 +37,7 @@ def test_json_and_tables_say_the_same(fit: Answer) -> None:
     log = recorded().parts[0]
     status, out, _ = fit(log, "--segment", "4:27", "--json")
     answer: dict[str, Any] = json.loads(out)
-    assert status == 0 and set(answer) == {"runs", "joint", "agreement", "simulated"}
+    assert status == 0 and set(answer) == {"runs", "joint", "agreement", "groups", "simulated"}
     (run,) = answer["runs"]
     assert (run["log"], run["start_s"], run["end_s"]) == (1, 4.0, 27.0) and run["kind"] == "given"
     assert set(run["parameters"]) == set(PARAMETERS) == set(run["filter"])

@@ -11,9 +11,9 @@ from numpy.random import default_rng
 from tilth.analysis.experiment import predict
 from tilth.analysis.experiment.predict import Known, from_log, from_machine, sds, told_by, told_of, worst_of
 from tilth.analysis.fit.fitting import Fitted
-from tilth.analysis.fit.joint import Linearised, Told, linearise
+from tilth.analysis.fit.joint import Linearised, linearise
 from tilth.analysis.fit.segment_fit import FittedWindow, SegmentFit
-from tilth.analysis.fit.window_terms import places
+from tilth.analysis.fit.window_terms import Told, places
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.models.planned_run import DT, Scheduled

@@ -4,44 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from logs import MACHINE as PACKAGED
-from logs import with_exact_lengths
-from numpy.typing import NDArray
+from told_segments import LEARNED, MACHINE, MEAN, SD, around, drawn, masses, root_of, told
 
-from tilth.analysis.fit.joint import Agreement, Linearised, Told, agree, join, linearise
-from tilth.analysis.fit.window_terms import Terms, places
-from tilth.estimator.filters import unknowns
+from tilth.analysis.fit.agreement import Agreement, agree
+from tilth.analysis.fit.joint import join, linearise
 from tilth.estimator.filters.drift import DRIFT_LENGTH_M
 from tilth.estimator.filters.unknowns import SIX
-
-Floats = NDArray[np.float64]
-MACHINE = with_exact_lengths(PACKAGED)
-MEAN, SD = unknowns.prior(MACHINE)
-NO_MODEL = np.full(6, 1e-6)
-LEARNED = places(MACHINE)
-
-
-def told(change: Floats, root: Floats, rng: np.random.Generator, model_sd: Floats = NO_MODEL) -> Told:
-    """What a segment says that measures root (rows, learned) @ unknowns with white noise of sd 1, around the
-    prior's mean. change: (learned,), the truth less the prior's mean."""
-    observed = root @ change + rng.normal(size=len(root))
-    information = root.T @ root
-    gradient = -root.T @ observed
-    return (Terms(gradient, information, information, 0.0, model_sd),)
-
-
-def around(segments: list[Told], between_m: float = 0.0) -> Linearised:
-    count = len(segments)
-    return Linearised(MEAN, tuple(segments), (between_m,) * (count - 1), (30.0,) * count)
-
-
-def root_of(rng: np.random.Generator, rows: int = 40, scale: float = 3.0) -> Floats:
-    root: Floats = rng.normal(size=(rows, len(LEARNED))) * scale / np.sqrt(rows) / SD[LEARNED]
-    return root
-
-
-def drawn(rng: np.random.Generator) -> Floats:
-    return np.asarray(SD[LEARNED] * rng.normal(size=len(LEARNED)))
 
 
 def test_the_joint_posterior_is_that_of_all_data_at_once() -> None:
@@ -57,14 +25,6 @@ def test_the_joint_posterior_is_that_of_all_data_at_once() -> None:
     found = joint.covariance[np.ix_(LEARNED, LEARNED)] - masses()
     assert found == pytest.approx(covariance, rel=1e-6, abs=1e-9)
     assert joint.seconds == 90.0
-
-
-def masses() -> Floats:
-    """What the masses add to the covariance of the unknowns learned."""
-    added = np.zeros((len(LEARNED), len(LEARNED)))
-    m_t, m_i = (SD[k] ** 2 for k in unknowns.MASSES)
-    added[:2, :2], added[2, 2] = m_t, m_i
-    return added
 
 
 def test_a_subset_is_what_its_segments_give_alone() -> None:
@@ -140,9 +100,9 @@ def test_segments_of_two_soils_do_not_agree() -> None:
     segments = [told(soil, root_of(rng, 200, 20.0), rng) for soil in (truth, truth, other)]
     joint = join(MACHINE, around(segments))
     assert not joint.agreement.agrees and "do not agree" in joint.agreement.sentence
-    assert joint.agreement.widening > 2.0
+    assert np.all(joint.refused[:3]) and np.all(joint.between_sd[:3] > 0.2)
     same = join(MACHINE, around(segments), [0, 1])
-    assert same.agreement.agrees and same.agreement.widening == 1.0
+    assert same.agreement.agrees and not same.between_sd.any() and not same.refused.any()
 
 
 def test_one_segment_has_nothing_to_agree_with() -> None:

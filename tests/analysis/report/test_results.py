@@ -69,6 +69,21 @@ def test_a_prediction_that_failed_has_no_number() -> None:
     assert table(held_out_section(found)).rows[0][3].text == "– (held out)"
 
 
+def test_segments_that_do_not_agree_predict_nothing_and_stand_in_groups() -> None:
+    found = held_out()
+    found["subsets"].append({"fitted": ["s1", "s2"], "cells": [], "refused": "these segments do not agree"})
+    section = held_out_section(found)
+    assert len(table(section).rows) == len(table(held_out_section(held_out())).rows)
+    assert "Nothing is predicted from segments that do not agree: s1, s2." in texts(section)
+    told = fit()
+    told["groups"] = [
+        {**told["joint"], "segments": ["s1", "s2"], "name": "s1 to s2"},
+        {**told["joint"], "segments": ["s3"], "name": "s3"},
+    ]
+    names = [row[0].text for row in table(fit_section(told)).rows]
+    assert names[-2:] == ["together: s1 to s2", "all together"] and "together: s3" not in names
+
+
 def test_residuals() -> None:
     section = residuals_section(residuals())
     assert texts(section) == ["Not passed: r_t (independent of the wheel angle)."]
