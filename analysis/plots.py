@@ -23,6 +23,7 @@ from tilth.estimator.models.linear_analysis import (
     system,
 )
 from tilth.estimator.models.parameters import Rig
+from tilth.logger.whole_file import whole
 
 COLOURS: Final = {
     "kinematic": "#999999",
@@ -65,8 +66,9 @@ def look() -> AbstractContextManager[None]:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as its suffix says, one of FORMATS. Raises OSError."""
-    with look():
-        figure.savefig(path, metadata=dict(_NO_DATE[path.suffix.lower()]), dpi=110)
+    form = path.suffix.lower()
+    with look(), whole(path, replace=True) as part:
+        figure.savefig(part, format=form[1:], metadata=dict(_NO_DATE[form]), dpi=110)
 
 
 def bode(gain: Axes, phase: Axes, sys: System, output: str, omega: Array, **line: Any) -> None:

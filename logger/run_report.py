@@ -21,6 +21,7 @@ from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 LONGEST_S: Final = 3600.0  # of making one
 MOST_WAITING: Final = 4  # queries that are not answered yet
@@ -109,7 +110,7 @@ class RunReport:
         if self._ends:
             return
         state = pb.ReportState(state="failed" if why else "ready", began_ns=began_ns)
-        state.text, state.ended_ns = why or out.name, self._clock.t_ns()
+        state.text, state.ended_ns = readable(why or out.name), self._clock.t_ns()
         if why:
             self._report("report", f"no report of the run so far: {why}")
         else:

@@ -19,6 +19,7 @@ from tilth.replay.readers.rig import Say, bus_names, machine_in
 from tilth.replay.recorded import Progress, RecordedRun
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Zenoh
+from tilth.schemas.readable import readable
 
 REPLAYING: Final = "replaying the log, which holds frames only"
 READING: Final = "reading the run"
@@ -86,7 +87,7 @@ def prepared_path(folder: Path, paths: Sequence[Path], machine: Machine, text: s
     known = hashlib.sha256(f"{software()['version']} {machine_sha256(machine, text)}".encode())
     for path in paths:
         stat = path.stat()
-        known.update(f"\n{path.resolve()} {stat.st_size} {stat.st_mtime_ns}".encode())
+        known.update(f"\n{readable(path.resolve())} {stat.st_size} {stat.st_mtime_ns}".encode())
     return folder / f"{paths[0].stem[:60]}_{known.hexdigest()[:16]}.mcap"
 
 
@@ -106,7 +107,7 @@ def prepare(
     unfinished.unlink(missing_ok=True)
     size = sum(path.stat().st_size for path in paths)
     try:
-        writer = LogWriter(unfinished, machine, text, RunPart(target.stem, 1, _first_ns(paths)))
+        writer = LogWriter(unfinished, machine, text, RunPart(readable(target.stem), 1, _first_ns(paths)))
         try:
             outputs = ReplayOutputs(writer, progress=lambda done: progress(min(done / max(size, 1), 1.0)))
             summary = replay(paths, machine, text, buses=buses, outputs=outputs, say=say)

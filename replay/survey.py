@@ -13,6 +13,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
+from tilth.logger.log.lock import is_being_written
 from tilth.logger.log.mcap_file import (
     DAMAGE,
     HEAD,
@@ -25,7 +26,7 @@ from tilth.logger.log.mcap_file import (
     unpacked,
 )
 from tilth.logger.log.mcap_log import CAN_TOPIC, ClockReason
-from tilth.logger.log.recovery import is_being_written, is_ours
+from tilth.logger.log.recovery import is_ours
 from tilth.logger.log.runs import file_name
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb

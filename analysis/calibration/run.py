@@ -32,6 +32,7 @@ from tilth.replay.readers.rig import Say
 from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import readable
 from tilth.schemas.spread import plus_minus
 
 Progress = Callable[[str, float], None]
@@ -160,7 +161,7 @@ def calibrate_logs(
     senders = receivers.HeardReceivers()
     for measurement in heard.measurements:
         receivers.take(senders, measurement)
-    names = tuple(path.name for path in paths)
+    names = tuple(readable(path.name) for path in paths)
     return Calibrated(
         machine,
         found,

@@ -8,6 +8,7 @@ from tilth.analysis.runs.run import Run
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.replay.readers.any_log import metadata, open_log
 from tilth.replay.readers.log import LogError
+from tilth.schemas.readable import readable
 
 SIMULATED: Final = "simulated"  # metadata record of a simulated log, and the fix of its receivers
 REPLAY: Final = "replay"  # metadata record of a log that a replay wrote: the logs that it read
@@ -19,11 +20,11 @@ def origin_of(run: Run) -> dict[str, Any]:
     replayed = any(file.path not in run.sources for file in run.files)
     return {
         "logs": [
-            {"path": str(path), "bytes": path.stat().st_size, "sha256": sha256_of(path)}
+            {"path": readable(path), "bytes": path.stat().st_size, "sha256": sha256_of(path)}
             for path in run.sources
         ],
         "whole": run.whole,
-        "cut": [file.path.name for file in run.files if not file.whole],
+        "cut": [readable(file.path.name) for file in run.files if not file.whole],
         "replayed": replayed,
         "machine_sha256": machine_sha256(run.machine, run.machine_text),
         "recorded_with": {} if replayed else dict(run.software),

@@ -15,6 +15,7 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import readable
 
 Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
@@ -73,7 +74,7 @@ def replayed(
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = kept.with_suffix(f".{os.getpid()}.part")
     size = path.stat().st_size
-    writer = LogWriter(unfinished, machine, machine_text, RunPart(path.stem, 1, _first_ns(path)))
+    writer = LogWriter(unfinished, machine, machine_text, RunPart(readable(path.stem), 1, _first_ns(path)))
     try:
         with contextlib.closing(writer):
             outputs = ReplayOutputs(writer, progress=lambda done: progress(done, size))

@@ -7,12 +7,11 @@ while a file is being finished leaves one that can be finished again.
 """
 
 import contextlib
-import fcntl
 import io
 import os
 import struct
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -29,6 +28,7 @@ from mcap.records import (
     Schema,
 )
 
+from tilth.logger.log.lock import grows, is_being_written, lock
 from tilth.logger.log.mcap_file import (
     DAMAGE,
     HEAD,
@@ -71,9 +71,11 @@ def finish(path: Path) -> Finished:
     """Finish a file where it is not whole. Raises NoLog, and OSError where it cannot be read or written."""
     with path.open("r+b") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            written = not lock(file.fileno()) and grows(file)
         except BlockingIOError:
-            raise NoLog(f"{path}: is being recorded; it is whole when that run has ended") from None
+            written = True
+        if written:
+            raise NoLog(f"{path}: is being recorded; it is whole when that run has ended")
         size = file.seek(0, io.SEEK_END)
         whole = is_finished(file, size)
         content = _survey(path, file, size)
@@ -100,6 +102,8 @@ def unfinished(folder: Path) -> list[Path]:
         return found
     for path in sorted(folder.glob("*.mcap")):
         try:
+            if not path.is_file():  # a pipe of that name would be waited for
+                continue
             with path.open("rb") as file:
                 size = file.seek(0, io.SEEK_END)
                 if not is_finished(file, size) and not is_being_written(file) and is_ours(file, size):
@@ -109,27 +113,22 @@ def unfinished(folder: Path) -> list[Path]:
     return found
 
 
-def finish_all(folder: Path, report: Callable[[str, str], None]) -> None:
-    """Finish what earlier runs could not. report: takes kind and text of an event for each file."""
+def finish_all(
+    folder: Path, report: Callable[[str, str], None], ours: Callable[[], Sequence[Path]] = tuple
+) -> None:
+    """Finish what earlier runs could not. report: takes kind and text of an event for each file. ours: what
+    this program writes itself."""
     for path in unfinished(folder):
+        if path in ours():
+            continue
         try:
             done = finish(path)
         except FileNotFoundError:  # deleted meanwhile to make room
             continue
-        except (NoLog, OSError) as error:
+        except Exception as error:  # whatever lies there, those after it are finished
             report("log", f"{path.name} was left unfinished and stays so: {error}")
         else:
             report("log", f"{path.name} was left unfinished; finished now: {done.messages} messages")
-
-
-def is_being_written(file: BinaryIO) -> bool:
-    """Whether another program holds it for writing, as the recorder does until a file is whole."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
 
 
 def is_ours(file: BinaryIO, size: int) -> bool:
