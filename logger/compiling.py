@@ -25,7 +25,6 @@ NO_CACHE_FOLDER: Final = (
     "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
     "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
 )
-NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
 Progress = Callable[[float], None]  # takes the share of the compiling that is done, 0 to 1
@@ -165,7 +164,6 @@ def keeping_in(folder: str) -> Iterator[None]:
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
     if words == ["-"]:
-        os.nice(NICE)
         prepare(pickle.load(sys.stdin.buffer), lambda share: _print(f"{share:.3f}"))
         return 0
     try:

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from tilth.logger import compiling
+from tilth.logger import compiling, priority
 from tilth.schemas.machine import Machine
 
 LOADING: Final = "loading kernels"
@@ -124,6 +124,9 @@ class Preparing:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
             )
+            why_not = priority.stand_behind(priority.COMPILING, self._process.pid)
+        if why_not:
+            self._report("compiled", f"kernels are compiled at the recorder's own priority: {why_not}")
         assert self._process.stdin is not None and self._process.stdout is not None
         with self._process:
             with contextlib.suppress(BrokenPipeError):  # its status tells

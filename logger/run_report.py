@@ -18,6 +18,7 @@ import zenoh
 
 from tilth.logger.clock import Clock
 from tilth.logger.outlets import Outlets
+from tilth.logger.priority import REPORTS, stand_behind
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -130,6 +131,8 @@ class RunReport:
                 self._process = subprocess.Popen(
                     words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
                 )
+                if why_not := stand_behind(REPORTS, self._process.pid):
+                    self._report("report", f"the report is made at the recorder's own priority: {why_not}")
                 try:
                     status = self._process.wait(LONGEST_S)
                 except subprocess.TimeoutExpired:

@@ -31,6 +31,7 @@ from tilth.replay.readers.rig import machine_in
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 MARK: Final = "mark"  # kind of the events that an operator makes
 RECOMMENDED: Final = "recommended"
@@ -209,7 +210,7 @@ def _name(path: Path, file: LogFile, said: str) -> str:
     """What a run is called: what its log says, if that is for people; else as its files are."""
     if said and path == file.path and not _UUID.fullmatch(said):
         return said
-    return path.stem.removesuffix(f"_{_part(file):03d}")
+    return readable(path.stem.removesuffix(f"_{_part(file):03d}"))
 
 
 def _part(file: LogFile) -> int:
