@@ -158,6 +158,8 @@ def _synchronised() -> bool | None:
 
 def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     try:
+        if why_not := compiling.untrusted():
+            raise compiling.NoCacheFolder(why_not)
         folder = compiling.cache_folder(machine)
     except compiling.NoCacheFolder as why:
         yield CheckFinding("kernels", Level.PROBLEM, str(why))

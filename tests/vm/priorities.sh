@@ -1,5 +1,5 @@
 # Run in the guest by test_priorities.py: the recorder's own unit, but for what it runs, which is priorities.py.
-system=$PWD/deploy/system
+system=$CHECKOUT/deploy/system
 mkdir -p /usr/local/lib/packages /etc/systemd/system/tilth.service.d /etc/sysusers.d
 mount --bind "$NEEDED" /usr/local/lib/packages # where the recorder's user may read it
 cp $system/tilth.service /etc/systemd/system/
@@ -11,9 +11,9 @@ Type=oneshot
 Restart=no
 WatchdogSec=0
 TimeoutStartSec=1500
-Environment=PYTHONPATH=$PWD/.typing:/usr/local/lib/packages PYTHONDONTWRITEBYTECODE=1
+Environment=PYTHONPATH=$CHECKOUT/.typing:/usr/local/lib/packages PYTHONDONTWRITEBYTECODE=1
 ExecStart=
-ExecStart=/usr/bin/python3 -P $PWD/tests/vm/priorities.py $PWD/deploy/machines/jd7930-parker500.toml
+ExecStart=/usr/bin/python3 -P $CHECKOUT/tests/vm/priorities.py $CHECKOUT/deploy/machines/jd7930-parker500.toml
 StandardOutput=truncate:/run/found.json
 StandardError=truncate:/run/errors.txt
 END

@@ -1,11 +1,11 @@
-"""Under the recorder's own unit and its filter of system calls: what stands behind the recorder really does."""
+"""Under the recorder's own unit, with its filter of system calls: what is to stand behind it really does."""
 
 import json
 import sysconfig
 from pathlib import Path
 
 import pytest
-from guest import boot, missing
+from guest import CHECKOUT, boot, missing
 
 pytestmark = [pytest.mark.vm_systemd, pytest.mark.skipif(missing() != "", reason=missing())]
 
@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 
 def test_fits_reports_and_the_compiling_step_back_under_the_filter(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    environment = ["env", f"NEEDED={sysconfig.get_path('purelib')}"]
+    environment = ["env", f"CHECKOUT={CHECKOUT}", f"NEEDED={sysconfig.get_path('purelib')}"]
     command = ["bash", "-x", str(HERE / "with_systemd.sh"), *environment]
     with boot([*command, "bash", "-ex", str(HERE / "priorities.sh")], out) as guest:
         guest.finish()
