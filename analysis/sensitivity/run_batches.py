@@ -253,6 +253,6 @@ def _kept_part(file: Path) -> Part | None:
 
 
 def _read(file: Path) -> Part:
-    with np.load(file, allow_pickle=False) as stored:
+    with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
         arrays = [stored[f"arr_{k}"] for k in range(12)]
     return Part(Kept(*arrays[:5]), Kept(*arrays[5:10]), *arrays[10:])

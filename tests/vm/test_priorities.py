@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from guest import CHECKOUT, boot, missing
 
-pytestmark = [pytest.mark.vm_systemd, pytest.mark.skipif(missing() != "", reason=missing())]
+pytestmark = [pytest.mark.vm, pytest.mark.skipif(missing() != "", reason=missing())]
 
 HERE = Path(__file__).parent
 
