@@ -113,11 +113,10 @@ def _dbc_beside(machine: Path) -> Path | None:
     name = section.get("dbc") if isinstance(section, dict) else None
     if not isinstance(name, str) or Path(name).is_absolute():
         return None  # the service's user reads it there, if that user may
-    dbc = machine.with_name(name) if name == Path(name).name else None
-    if dbc is None or name.startswith(".") or "\0" in name or name in (Path(MACHINE).name, KEYS):
-        raise Failed(
-            f"{machine}: wheel_angle.dbc = {name!r}: give the name of a file beside the machine file"
-        )
+    taken = ("", Path(MACHINE).name, KEYS)
+    if name != Path(name).name or name.startswith(".") or "\0" in name or name in taken:
+        raise Failed(f"{machine}: wheel_angle.dbc = {name!r}: give the name of a DBC beside the machine file")
+    dbc = machine.parent / name
     if dbc.is_symlink() or not dbc.is_file():
         raise Failed(f"{dbc}: is no plain file; put the DBC file itself beside the machine file")
     return dbc
