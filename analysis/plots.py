@@ -24,7 +24,7 @@ from tilth.estimator.models.linear_analysis import (
     system,
 )
 from tilth.estimator.models.parameters import Rig
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 
 COLOURS: Final = {
     "kinematic": "#999999",

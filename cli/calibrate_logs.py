@@ -20,7 +20,7 @@ from tilth.cli.progress_bar import stages
 from tilth.estimator.calibration import left_over
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.verdict import NOT_TOLD
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.machine import Machine, MachineError

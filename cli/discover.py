@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tilth.cli import WrongUse, duration
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers.any_log import frames

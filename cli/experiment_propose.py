@@ -16,7 +16,7 @@ from tilth.analysis.runs.run import Run, is_mcap, open_runs
 from tilth.cli import WrongUse, check_folder
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import Steps, bars
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.invocation import command

@@ -19,8 +19,8 @@ from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.cli.unread import rejection_words, who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.whole_file import whole
 from tilth.logger.machine_file import read_machine
-from tilth.logger.whole_file import whole
 from tilth.logger.zenoh.session import why
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.replay.compare import Comparison

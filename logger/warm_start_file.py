@@ -14,7 +14,7 @@ from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.watch import Moved
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 

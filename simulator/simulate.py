@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import RIG_PARAMETERS
 from tilth.logger.log.mcap_log import LogWriter, RunPart, software
-from tilth.logger.whole_file import whole
+from tilth.logger.log.whole_file import whole
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.readable import readable

@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 import zstandard
 
 from tilth.estimator.state_json import from_json_data, to_json_data
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from tilth.logger import whole_file
-from tilth.logger.log import recovery
+from tilth.logger.log import recovery, whole_file
 from tilth.logger.log.disk import sync_folder
 from tilth.logger.log.lock import is_being_written
 from tilth.logger.log.mcap_file import is_finished

@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tilth.logger import whole_file
 from tilth.logger.clock import EARLIEST_NS, utc_text
+from tilth.logger.log import whole_file
 from tilth.logger.log.disk import sync_folder
 from tilth.schemas.readable import readable
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tilth.logger import whole_file
+from tilth.logger.log import whole_file
 
 
 def left(folder: Path) -> dict[str, bytes]:
