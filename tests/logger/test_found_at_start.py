@@ -58,6 +58,11 @@ def kept() -> dict[str, Any]:
     return dict(json.loads(text))
 
 
+def _large(path: Path) -> None:
+    path.touch()
+    os.truncate(path, 100_000_000)
+
+
 LYING_THERE: dict[str, Callable[[Path], object]] = {
     "a pipe": os.mkfifo,
     "a folder": Path.mkdir,
@@ -65,7 +70,7 @@ LYING_THERE: dict[str, Callable[[Path], object]] = {
     "brackets": lambda path: path.write_text("[" * 200_000),
     "braces": lambda path: path.write_text('{"a":' * 100_000),
     "no text": lambda path: path.write_bytes(bytes(range(256))),
-    "a file of 100 MB": lambda path: (path.touch(), os.truncate(path, 100_000_000)),
+    "a file of 100 MB": _large,
     "a long number": lambda path: path.write_text('{"format": 1, "utc_ns": ' + "9" * 5000 + "}"),
 }
 
