@@ -179,7 +179,7 @@ def test_a_name_that_is_not_utf8_ends_nothing(
     words = [places.get(word, word).replace("OUT", str(tmp_path / "out")) for word in COMMANDS[what]]
     status = main(words)
     out, err = capsys.readouterr()
-    assert status in (0, 1, 2) and err.count("\n") < 20, err
+    assert status in (0, 1, 2) and "Traceback" not in err, err
     if "JSON" in what:
         assert os.fsdecode(b"caf\xe9") in json.dumps(json.loads(out), ensure_ascii=False) or what[0] == "r"
 
