@@ -1,5 +1,6 @@
 """How everything here is drawn: colours, axes, and files whose bytes depend on the numbers only."""
 
+import io
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -23,6 +24,7 @@ from tilth.estimator.models.linear_analysis import (
     system,
 )
 from tilth.estimator.models.parameters import Rig
+from tilth.logger.log import whole_file
 
 COLOURS: Final = {
     "kinematic": "#999999",
@@ -65,8 +67,10 @@ def look() -> AbstractContextManager[None]:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as its suffix says, one of FORMATS. Raises OSError."""
+    form, drawn = path.suffix.lower(), io.BytesIO()
     with look():
-        figure.savefig(path, metadata=dict(_NO_DATE[path.suffix.lower()]), dpi=110)
+        figure.savefig(drawn, format=form[1:], metadata=dict(_NO_DATE[form]), dpi=110)
+    whole_file.write(path, drawn.getvalue())
 
 
 def bode(gain: Axes, phase: Axes, sys: System, output: str, omega: Array, **line: Any) -> None:

@@ -6,12 +6,14 @@ With --json the answer goes to stdout and everything else to stderr.
 
 import argparse
 import importlib
+import io
 import math
 import os
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
@@ -133,6 +135,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Matrices are small here: threads that share one wait for each other, and processes stand side by side.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is there
     words = list(sys.argv[1:] if argv is None else argv)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files are bytes: some are in no encoding
+            stream.reconfigure(errors="backslashreplace")
     started_as(_started(sys.argv[0], os.environ), [sys.executable, "-P", "-m", "tilth.cli.background"])
     parser = _Parser(
         prog=command(),
@@ -172,4 +177,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:  # `tilth fit --json >FILE` on a full disk
+        place = error.filename or "standard output"
+        print(f"tilth {args.command}: {place}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return status

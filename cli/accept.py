@@ -20,11 +20,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """2 where no daemon answers or it refuses."""
     if args.name is None:
-        status = pb.Status.FromString(ask(args, "status"))
+        answer = ask(args, "status")
+        status = pb.Status.FromString(answer.payload)
         for moved in status.moved:
             print(f"{' or '.join(moved.names)}: {moved.text}")
         if not status.moved:
-            print("Nothing has been found moved.")
+            print(f"Nothing of {answer.by} has been found moved.")
         return 0
-    print(pb.Event.FromString(ask(args, "accept", args.name)).text)
+    answer = ask(args, "accept", args.name)
+    print(f"{answer.by}: {pb.Event.FromString(answer.payload).text}")
     return 0

@@ -5,21 +5,19 @@ nothing that it needs.
 """
 
 import contextlib
-import os
 import sys
 from pathlib import Path
 from typing import Final
 
 from tilth.cli import main
+from tilth.logger.priority import REPORTS, stand_behind
 
-NICE: Final = 19
 FIRST_TO_END: Final = "1000"
 
 
 def step_back() -> None:
     """As far as this system has such things."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(NICE)
+    stand_behind(REPORTS)  # who started it has said why not
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END, encoding="ascii")
 

@@ -20,9 +20,11 @@ from tilth.cli.progress_bar import stages
 from tilth.estimator.calibration import left_over
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.verdict import NOT_TOLD
+from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.readable import readable
 
 WIDTH = 120  # of what goes into a file
 
@@ -45,7 +47,7 @@ def run_logs(args: argparse.Namespace) -> int:
     status = 0
     try:
         if args.report is not None:
-            _write_report(args.report, page(report_of(found)))
+            _write_report(args.report, readable(page(report_of(found))))
         written = _write(args, found) if args.out is not None else None
         status = 0 if written is not False else 1
     except OSError as error:
@@ -101,7 +103,7 @@ def _write_report(out: Path, text: str) -> None:
         kept = _backup(out)
         out.replace(kept)
         _say(f"the old report is kept as {kept}")
-    out.write_text(text, encoding="utf-8")
+    whole_file.write(out, text.encode())
     _say(f"report: {out}")
 
 
@@ -118,12 +120,10 @@ def _write(args: argparse.Namespace, found: Calibrated) -> bool:
         return False
     if there is not None:
         kept = _backup(args.out)
-        kept.write_text(there, encoding="utf-8")
+        whole_file.write(kept, there.encode())
         _say(f"the old file is kept as {kept}")
     real = args.out.resolve()  # a link stays one: what it leads to is what others read
-    part = real.with_name(f".{real.name}.part")
-    part.write_text(found.after, encoding="utf-8")
-    part.replace(real)
+    whole_file.write(real, found.after.encode())
     _say(f"written: {args.out}")
     return True
 

@@ -3,6 +3,7 @@
 import argparse
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 import zenoh
 
@@ -38,7 +39,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
+class Answer(NamedTuple):
+    """Of a daemon to an order. by: whose it is, since it may be another one than was thought of."""
+
+    by: str
+    payload: bytes
+
+
+def ask(args: argparse.Namespace, key: str, payload: str = "") -> Answer:
     """What the daemon answers on a key below its prefix. Raises WrongUse where none does, or it refuses."""
     prefix, name, endpoints = Zenoh().prefix, "", Zenoh().listen
     if args.machine is not None:
@@ -56,11 +64,13 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> bytes:
         where = args.endpoint or ", ".join(endpoints)
         raise no_daemon(where) from None
     with session:
-        base = daemon_of(session, prefix, name, args.config).base(prefix)
+        daemon = daemon_of(session, prefix, name, args.config)
+        base = daemon.base(prefix)
         replies = list(session.get(f"{base}/{key}", payload=payload, encoding="text/plain", timeout=WAIT_S))
     for reply in replies:
         if reply.ok:
-            return reply.ok.payload.to_bytes()
+            by = f"{daemon.machine}, a simulation" if daemon.replay else daemon.machine
+            return Answer(by, reply.ok.payload.to_bytes())
         raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before asking again")
 

@@ -1,6 +1,7 @@
 """`tilth decode`: the messages of a log, one a line."""
 
 import argparse
+import errno
 import json
 import sys
 import textwrap
@@ -121,6 +122,8 @@ def run(args: argparse.Namespace) -> int:
         except BrokenPipeError:  # main knows what to do
             raise
         except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):  # of what is written
+                raise
             _say(f"{path}: {(error.strerror or str(error)).lower()}")
             status = max(status, 1)
     decoding.close_counts()

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tilth.cli import WrongUse, duration
+from tilth.logger.log import whole_file
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
 from tilth.replay.readers.any_log import open_log
@@ -141,7 +142,7 @@ def _value(text: str) -> str | int | float | bool:
 def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
     if args.out is not None:
         try:
-            args.out.write_text(text, encoding="utf-8")
+            whole_file.write(args.out, text.encode(), replace=False)
         except OSError as error:
             raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
         then = command("check", str(args.out))

@@ -16,11 +16,13 @@ from tilth.analysis.runs.run import Run, is_mcap, open_runs
 from tilth.cli import WrongUse, check_folder
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import Steps, bars
+from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_difference import differing
+from tilth.schemas.readable import readable
 
 KINDS_PROPOSED = tuple(kind for kind in KINDS if kind != "step")  # what a proposal is compared with
 
@@ -49,9 +51,10 @@ def propose(args: argparse.Namespace) -> int:
     except (CannotFit, ValueError) as error:
         _say(str(error))
         return 1
-    source = ", ".join(log.name for log in args.logs)
+    source = ", ".join(readable(log.name) for log in args.logs)
     try:
-        args.out.write_text(text_of(found, str(args.out), source), encoding="utf-8")
+        text = readable(text_of(found, str(args.out), source))
+        whole_file.write(args.out, text.encode(), replace=False)
     except OSError as error:
         raise WrongUse(f"{args.out}: {(error.strerror or str(error)).lower()}") from None
     print(worth(found))

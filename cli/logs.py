@@ -4,7 +4,6 @@ import argparse
 import json
 import sys
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     changes += [(args.keep, True, None), (args.release, False, None)]
     if args.note:
         changes.append((args.note[0], None, args.note[1]))
-    names = [name for name, _, _ in changes if name]
+    names, status = [name for name, _, _ in changes if name], 0
     for name, keep, text in changes:
         if name is None:
             continue
@@ -55,16 +54,21 @@ def run(args: argparse.Namespace) -> int:
         sidecar = _sidecar(one)
         sidecar.keep = sidecar.keep if keep is None else keep
         sidecar.notes += [text] if text else []
-        one.write_sidecar(sidecar)
+        try:
+            one.write_sidecar(sidecar)
+        except OSError as error:
+            why = f"{args.folder}: {(error.strerror or str(error)).lower()}; it cannot be noted there"
+            print(f"tilth logs: {why}", file=sys.stderr)
+            status = 1
     rows = [row for one in chosen(args.folder, names or None) if (row := _row(one)) is not None]
     if args.json:
         print(json.dumps(rows, indent=1, ensure_ascii=False))
-        return 0
+        return status
     table = Table(*COLUMNS, box=None, pad_edge=False)
     for row in rows:
         table.add_row(*_cells(row))
     Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200).print(table)
-    return 0
+    return status
 
 
 def _sidecar(one: StoredRun) -> Sidecar:
@@ -76,14 +80,22 @@ def _sidecar(one: StoredRun) -> Sidecar:
 
 def _row(one: StoredRun) -> dict[str, Any] | None:
     """What is told of a run, by all its files; None where they have gone since they were listed."""
-    sidecar = _sidecar(one)
     glances: dict[str, Glance] = {}
-    size = 0
+    size, unreadable = 0, list[str]()
     for path in one.files:
-        with suppress(FileNotFoundError):  # the recorder renames a run, or makes room, at any time
+        try:
             size += path.stat().st_size
             glances[path.name] = glance(path)
-    if not glances:
+        except FileNotFoundError:  # the recorder renames a run, or makes room, at any time
+            continue
+        except OSError as error:  # of one file; the others are told
+            unreadable.append(f"{path.name}: {(error.strerror or str(error)).lower()}")
+    try:
+        sidecar = one.sidecar()
+    except (ValueError, OSError) as error:
+        sidecar = Sidecar()
+        unreadable.append(str(error))
+    if not (glances or unreadable):
         return None
     dated = [found for found in glances.values() if found.last_ns]
     states = Counter(found.state for found in glances.values())
@@ -110,6 +122,7 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
         "damaged": [name for name, found in glances.items() if found.state == FileState.DAMAGED],
         "recording": states[FileState.BEING_WRITTEN] > 0,
         "no_log": [name for name, found in glances.items() if found.state == FileState.NO_LOG],
+        "unreadable": unreadable,
         "copied": sum(name in sidecar.copied for name in glances),
         "simulated": any(found.simulated for found in glances.values()),
         "keep": sidecar.keep,
@@ -142,6 +155,6 @@ def _state(row: dict[str, Any]) -> list[str]:
     )
     state += [f"{name} is damaged: {command('verify')}" for name in row["damaged"]]
     state += [f"part {missing} missing"] if missing else []
-    state += [f"{name} is no log of tilth" for name in row["no_log"]]
+    state += [f"{name} is no log of tilth" for name in row["no_log"]] + row["unreadable"]
     copied = "copied" if row["copied"] == row["files"] else f"{row['copied']} of {row['files']} copied"
     return state + [copied] * bool(row["copied"]) + ["keep"] * row["keep"] + [f'"{n}"' for n in row["notes"]]

@@ -20,8 +20,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """2 where no daemon answers or it refuses."""
-    event = pb.Event.FromString(ask(args, "mark", args.text))
-    print(f"{_when(event)} marked: {event.text}")
+    answer = ask(args, "mark", args.text)
+    event = pb.Event.FromString(answer.payload)
+    print(f"{_when(event)} marked: {event.text} (in the log of {answer.by})")
     return 0
 
 

@@ -34,21 +34,29 @@ def run(args: argparse.Namespace) -> int:
     runs = chosen(args.log, args.run)
     if args.dest.stat().st_dev == args.log.stat().st_dev:
         print(f"tilth offload: {args.dest} is on the same disk as the logs", file=sys.stderr)
-    status = 0
+    status, not_noted = 0, ""
     for one in runs:
         try:
             done = offload(one, args.dest.resolve(), lambda name: print(f"copying {name}"))
-        except (CannotCopy, ValueError) as error:
+        except CannotCopy as error:  # nor can the next one
             print(f"tilth offload: {error}", file=sys.stderr)
             return 1
+        except (ValueError, OSError) as error:
+            print(f"tilth offload: left: {one.name}: {error}", file=sys.stderr)
+            status = 1
+            continue
         for why in done.not_copied:
             print(f"tilth offload: left: {why}", file=sys.stderr)
             status = 1
         for what in done.damaged:
             print(f"tilth offload: copied as it is: {what}", file=sys.stderr)
             status = 1
+        not_noted = not_noted or done.not_noted
         files = "file" if done.copied == 1 else "files"
         print(f"{one.name}: {done.copied} {files} copied and compared, {done.there} there already")
+    if not_noted:
+        why = f"{not_noted}; it cannot be noted there what was copied"
+        print(f"tilth offload: {why}", file=sys.stderr)
     return status
 
 

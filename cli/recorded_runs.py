@@ -21,6 +21,7 @@ from tilth.replay.prepared import OpenedRun, Opening
 from tilth.replay.readers.log import LogError
 from tilth.schemas.machine import Machine, MachineError, Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 ANY_PORT = "tcp/127.0.0.1:0"
 
@@ -74,7 +75,7 @@ def _listing(opening: Opening, run: CatalogueRun) -> pb.RunListing:
         return listing(run, opening.prepared(run))
     except (LogError, MachineError) as error:
         row = listing(run)
-        row.state = str(error)
+        row.state = readable(error)
         return row
 
 

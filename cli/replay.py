@@ -19,6 +19,7 @@ from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.cli.unread import rejection_words, who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.whole_file import whole
 from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import why
 from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
@@ -33,6 +34,7 @@ from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
+from tilth.schemas.readable import readable
 from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import of_logarithm
 
@@ -132,8 +134,8 @@ def _outputs(
     """Open what the results go to; the stack closes it."""
     writer = publish = None
     if args.out is not None:
-        writer = _writer(args, machine, text)
-        stack.callback(_close, writer)
+        writer = _writer(stack, args, machine, text)
+        stack.callback(_close, writer, args.out)
     if args.publish:
         sink = _zenoh(machine)
         stack.callback(sink.close)
@@ -143,24 +145,25 @@ def _outputs(
     return ReplayOutputs(writer, publish, comparison, pace, lambda done: steps("replay", done, size))
 
 
-def _writer(args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
+def _writer(stack: ExitStack, args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
     run = RunPart(REPLAY, 1, _first_ns(args.logs), simulated=simulated_by(args.logs))
     try:
-        writer = LogWriter(args.out, machine, text, run)
+        part = stack.enter_context(whole(args.out))
+        writer = LogWriter(part, machine, text, run)
     except FileExistsError:
         raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name") from None
     except OSError as error:
         raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
-    writer.metadata(REPLAY, {"logs": "\n".join(str(path.resolve()) for path in args.logs)})
+    writer.metadata(REPLAY, {"logs": "\n".join(readable(path.resolve()) for path in args.logs)})
     return writer
 
 
-def _close(writer: LogWriter) -> None:
+def _close(writer: LogWriter, out: Path) -> None:
     """A log without a frame is of no use and would stand in the way of the next try."""
     writer.close()
     if not writer.frames:
         writer.path.unlink()
-        _say(f"{writer.path}: not written, there was no frame")
+        _say(f"{out}: not written, there was no frame")
 
 
 def _first_ns(logs: Sequence[Path]) -> int:

@@ -84,6 +84,7 @@ def install(box: Box, args: argparse.Namespace) -> None:
     machine = box.at(MACHINE)
     if not machine.exists() and args.machine is None:
         raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
+    dbc = None if args.machine is None else _dbc_beside(args.machine)
     release = _new_release(box, args.source, args.wheels)
     try:
         _check_machine(release, args.machine or machine)
@@ -91,7 +92,9 @@ def install(box: Box, args: argparse.Namespace) -> None:
         shutil.rmtree(release)
         raise
     if args.machine is not None:
-        _put_machine(args.machine, machine)
+        if dbc is not None:
+            _put(dbc, machine.with_name(dbc.name))
+        _put(args.machine, machine)
     if args.keys is not None:
         _put(args.keys, machine.with_name(KEYS), 0o640)
         if tomllib.loads(machine.read_text(encoding="utf-8-sig")).get("zenoh", {}).get("config") != KEYS:
@@ -99,12 +102,24 @@ def install(box: Box, args: argparse.Namespace) -> None:
     _switch(box, release)
 
 
-def _put_machine(source: Path, target: Path) -> None:
-    """With the DBC file that it names, if any."""
-    dbc = tomllib.loads(source.read_text(encoding="utf-8-sig")).get("wheel_angle", {}).get("dbc")
-    if dbc is not None and not Path(dbc).is_absolute():
-        _put(source.parent / dbc, target.parent / dbc)
-    _put(source, target)
+def _dbc_beside(machine: Path) -> Path | None:
+    """The DBC file that a machine file names and that goes with it; None where it names none, or one that
+    stays where it is. Raises Failed: what root copies is told by a file that may be anybody's."""
+    try:
+        plain = tomllib.loads(machine.read_text(encoding="utf-8-sig"))
+    except ValueError as error:
+        raise Failed(f"{machine}: {error}") from None
+    section = plain.get("wheel_angle")
+    name = section.get("dbc") if isinstance(section, dict) else None
+    if not isinstance(name, str) or Path(name).is_absolute():
+        return None  # the service's user reads it there, if that user may
+    taken = ("", Path(MACHINE).name, KEYS)
+    if name != Path(name).name or name.startswith(".") or "\0" in name or name in taken:
+        raise Failed(f"{machine}: wheel_angle.dbc = {name!r}: give the name of a DBC beside the machine file")
+    dbc = machine.parent / name
+    if dbc.is_symlink() or not dbc.is_file():
+        raise Failed(f"{dbc}: is no plain file; put the DBC file itself beside the machine file")
+    return dbc
 
 
 def upgrade(box: Box, args: argparse.Namespace) -> None:
@@ -332,8 +347,9 @@ def _put(source: Path, target: Path, mode: int = 0o644) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     new_file = target.with_name(f".{target.name}.new")
     new_file.unlink(missing_ok=True)
+    content = source.read_bytes()
     with os.fdopen(os.open(new_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as stream:
-        stream.write(source.read_bytes())
+        stream.write(content)
         os.fsync(stream.fileno())
     new_file.chmod(mode)
     new_file.replace(target)

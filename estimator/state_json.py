@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum
+from functools import cache
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -47,7 +48,7 @@ def to_json_data(value: Any, skip: frozenset[str] = frozenset()) -> Any:
         return value.item()
     if isinstance(value, (list, tuple, deque)):
         return [to_json_data(item, skip) for item in value]
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: to_json_data(item, skip) for key, item in value.items()}
     return value
 
@@ -122,11 +123,9 @@ def _build(kind: Any, data: Any, skipped: dict[str, Any]) -> Any:
     if origin is tuple:
         inner = arguments[:1] * len(data) if arguments[-1] is Ellipsis else arguments
         return tuple(_build(a, item, skipped) for a, item in zip(inner, data, strict=True))
-    if origin is dict:
-        return {
-            _build(arguments[0], key, skipped): _build(arguments[1], item, skipped)
-            for key, item in data.items()
-        }
+    if origin in _TABLES:
+        of_key, of_item = arguments
+        return {_build(of_key, k, skipped): _build(of_item, item, skipped) for k, item in data.items()}
     if isinstance(kind, type) and is_dataclass(kind):
         return _build_dataclass(kind, data, skipped)
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -149,17 +148,24 @@ def _of_shape(array: NDArray[np.float64], shape: Shape) -> NDArray[np.float64]:
 def _check_form(kind: Any, data: Any) -> None:
     """Raises TypeError if the type needs a JSON object or a list and the data are not one."""
     origin = typing.get_origin(kind)
-    container = dict if origin is dict or is_dataclass(kind) else list
+    container = dict if origin in _TABLES or is_dataclass(kind) else list
     if (origin is not None or is_dataclass(kind)) and not isinstance(data, container):
         raise TypeError(f"{str(data)[:20]!r} is no {container.__name__}")
 
 
+_TABLES = (dict, Mapping)
 _NUMBER = (bool, int, float)  # some JSON writers turn 1.0 into 1, and arithmetic mixes the types
 _LEAVES: dict[Any, Any] = {bool: _NUMBER, int: _NUMBER, float: _NUMBER, str: str}
 
 
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    """Annotations of a dataclass; they are evaluated once."""
+    return typing.get_type_hints(kind, include_extras=True)
+
+
 def _build_dataclass(kind: Any, data: dict[str, Any], skipped: dict[str, Any]) -> Any:
-    hints = typing.get_type_hints(kind, include_extras=True)
+    hints = _hints(kind)
     unknown = data.keys() - hints.keys()
     if unknown:
         raise ValueError(f"{', '.join(sorted(unknown))} is not known")

@@ -8,6 +8,7 @@ lines with the share of the work that is done.
 import contextlib
 import os
 import pickle
+import stat
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +26,10 @@ NO_CACHE_FOLDER: Final = (
     "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
     "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
 )
-NICE: Final = 5  # recording comes first; on a busy computer more would be for ever
+UNTRUSTED: Final = (
+    "can be written by others, so compiled kernels are not taken from there: every start compiles them anew; "
+    "empty that folder, and let nobody but this user write it (chmod go-w)"
+)
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
 Progress = Callable[[float], None]  # takes the share of the compiling that is done, 0 to 1
@@ -144,6 +148,24 @@ def cache_folder(machine: Machine) -> str:
         raise NoCacheFolder(NO_CACHE_FOLDER) from None
 
 
+def untrusted() -> str:
+    """Why no code is taken from the folder of NUMBA_CACHE_DIR: others than root and this user can write
+    there, or could, and numba runs what it finds. "" where nobody can, or no folder is named."""
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
+    if folder == Path() or not folder.is_dir():
+        return ""
+    folder = folder.resolve()
+    for place in (folder, *folder.parents, *folder.rglob("*")):
+        found = place.lstat()
+        # Who may write a folder above may put another one there, but not where the sticky bit is set.
+        sticky = place in folder.parents and bool(found.st_mode & stat.S_ISVTX)
+        link = stat.S_ISLNK(found.st_mode)
+        loose = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not (sticky or link)
+        if loose or found.st_uid not in (0, os.geteuid()):
+            return f"{place} {UNTRUSTED}"
+    return ""
+
+
 @contextlib.contextmanager
 def keeping_in(folder: str) -> Iterator[None]:
     """Keep kernels there instead, in this process and in those that it starts meanwhile."""
@@ -165,7 +187,6 @@ def keeping_in(folder: str) -> Iterator[None]:
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
     if words == ["-"]:
-        os.nice(NICE)
         prepare(pickle.load(sys.stdin.buffer), lambda share: _print(f"{share:.3f}"))
         return 0
     try:

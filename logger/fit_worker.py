@@ -17,8 +17,6 @@ from threadpoolctl import threadpool_limits
 from tilth.estimator.methods.estimators import ROW, rows_for
 from tilth.schemas.machine import Machine
 
-NICE = 10  # recording comes first
-
 _ONE_FIT: Final = threading.Lock()  # how many threads linear algebra has is one setting of a process
 
 Answer = tuple[int, Any, str, float]  # ticket, result or None, what went wrong or "", computing time in s
@@ -48,8 +46,6 @@ def rehearse(machine: Machine) -> None:
 
 def main() -> None:
     """Answer jobs from stdin on stdout until stdin ends."""
-    with contextlib.suppress(OSError):  # a system that does not allow it has the fits all the same
-        os.nice(NICE)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
     requests = sys.stdin.buffer

@@ -18,6 +18,7 @@ from queue import SimpleQueue
 from typing import Any, Final, Protocol
 
 from tilth.logger.fit_worker import Answer, make
+from tilth.logger.priority import FITS, stand_behind
 from tilth.schemas.machine import Machine
 
 UNDECIDED: Final = object()
@@ -91,6 +92,7 @@ class Worker:
         self._busy = 0  # ticket of what the process is at
         self._given_up = False
         self._closing = False
+        self._said_priority = False
 
     def start(self) -> None:
         """Start the process and compile, if that has not been done: the first fit would be late for it."""
@@ -202,6 +204,10 @@ class Worker:
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, **ONE_THREAD},
             )
+            why_not = stand_behind(FITS, self._process.pid)
+        if why_not and not self._said_priority:
+            self._said_priority = True
+            self._report("fit", f"fits are made at the recorder's own priority: {why_not}")
         _send(self._process, self._machine)
         return self._process
 

@@ -13,6 +13,7 @@ from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 Events = deque[tuple[str, str]]
 """Kind and text of what has happened since the last turn of the loop; any thread may append. They are logged
@@ -61,7 +62,8 @@ class Outlets:
     def put_events(self) -> None:
         """Log, publish and show what has happened."""
         while self._events:
-            event = Event(self._clock.t_ns(), *self._events.popleft())
+            kind, text = self._events.popleft()
+            event = Event(self._clock.t_ns(), kind, readable(text))
             self.put("/event", event.t_ns, CHANNEL["/event"].encode(event))
             self.show_event(event)
 

@@ -6,6 +6,7 @@ folder is lent for this run; where there is not even that, or the process fails,
 """
 
 import contextlib
+import os
 import pickle
 import signal
 import subprocess
@@ -16,7 +17,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from tilth.logger import compiling
+from tilth.logger import compiling, priority
 from tilth.schemas.machine import Machine
 
 LOADING: Final = "loading kernels"
@@ -71,8 +72,11 @@ class Preparing:
         # The process inherits this: Ctrl-C is for the daemon, which ends it.
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
+            untrusted = compiling.untrusted()
+            if untrusted:  # before anything in it is looked at
+                self._anew(untrusted)
             if not compiling.load(self._machine):
-                self._compile()
+                self._compile(anew=bool(untrusted))
         except compiling.CompilingStopped:
             return
         except Exception as error:  # whatever it is, the fold has a guard of its own
@@ -80,27 +84,28 @@ class Preparing:
             self._report("compiled", f"kernels could not be prepared ({what}); estimates may come late")
         self.text, self.ready = "", True
 
-    def _compile(self) -> None:
+    def _compile(self, anew: bool) -> None:
         began_s = time.monotonic()
-        self.text = COMPILING
+        self.text = ANEW if anew else COMPILING
         try:
             compiling.cache_folder(self._machine)
         except compiling.NoCacheFolder as why:
-            self.text = ANEW
-            self._report("compiled", str(why))
-            self._lend()
+            self._anew(str(why))
         self._report("compiled", f"{self.text}: {FOLLOW}")
         self._compile_in_process()
         compiling.prepare(self._machine, self._progress)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
 
-    def _lend(self) -> None:
-        """A folder for this run; without one the kernels are compiled here."""
+    def _anew(self, why: str) -> None:
+        """Lend a folder for this run; without one the kernels are compiled here."""
+        self.text = ANEW
+        self._report("compiled", why)
+        folder = os.devnull  # where nothing can be kept, nor found
         with contextlib.suppress(OSError):
             folder = self._lent.enter_context(
                 tempfile.TemporaryDirectory(prefix="tilth-kernels-", ignore_cleanup_errors=True)
             )
-            self._lent.enter_context(compiling.keeping_in(folder))
+        self._lent.enter_context(compiling.keeping_in(folder))
 
     def _compile_in_process(self) -> None:
         """Compile in a process of its own."""
@@ -124,6 +129,9 @@ class Preparing:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
             )
+            why_not = priority.stand_behind(priority.COMPILING, self._process.pid)
+        if why_not:
+            self._report("compiled", f"kernels are compiled at the recorder's own priority: {why_not}")
         assert self._process.stdin is not None and self._process.stdout is not None
         with self._process:
             with contextlib.suppress(BrokenPipeError):  # its status tells

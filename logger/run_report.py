@@ -20,10 +20,12 @@ import zenoh
 from tilth.logger.clock import Clock
 from tilth.logger.log.derived import reports_in
 from tilth.logger.outlets import Outlets
+from tilth.logger.priority import REPORTS, stand_behind
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.limiter import Limiter
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 LONGEST_S: Final = 3600.0  # of making one
 MOST_WAITING: Final = 4  # queries that are not answered yet
@@ -124,7 +126,7 @@ class RunReport:
         if self._ends:
             return
         state = pb.ReportState(state="failed" if why else "ready", began_ns=began_ns)
-        state.text, state.ended_ns = why or out.name, self._clock.t_ns()
+        state.text, state.ended_ns = readable(why or out.name), self._clock.t_ns()
         if why:
             self._report("report", f"no report of the run so far: {why}")
         else:
@@ -147,6 +149,8 @@ class RunReport:
                 self._process = subprocess.Popen(
                     words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
                 )
+                if why_not := stand_behind(REPORTS, self._process.pid):
+                    self._report("report", f"the report is made at the recorder's own priority: {why_not}")
                 try:
                     status = self._process.wait(LONGEST_S)
                 except subprocess.TimeoutExpired:

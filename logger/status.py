@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 from tilth.schemas.states import DeviceState, RunHealth
 
 YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem
@@ -97,7 +98,7 @@ def problems_of(status: pb.Status, buses: Iterable[LiveBus], recording: Recordin
     if status.HasField("hours_left") and status.hours_left < LOW_HOURS:
         minutes = status.hours_left * 60
         found.append(f"disk: {minutes:.0f} minutes of recording left; make room in {recording.folder}")
-    return found
+    return [readable(text) for text in found]  # they name folders
 
 
 def _sensor_problems(status: pb.Status) -> list[str]:

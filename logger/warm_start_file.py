@@ -6,7 +6,6 @@ of another rig. What a run takes from it stands as the first state in its log.
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -15,6 +14,7 @@ from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.watch import Moved
+from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
@@ -36,6 +36,7 @@ class KeptRun(NamedTuple):
     elapsed_s: float  # since then
     accepted: list[Accepted]  # in place of values of the machine file
     moved: list[Moved]  # found, and neither accepted nor put back
+    told: list[str]  # the same in words
 
 
 class NotUsable(Exception):
@@ -65,22 +66,19 @@ def text_of(
 
 
 def write(path: Path, text: str) -> None:
-    """All or nothing, whatever happens to the power."""
-    new = path.with_suffix(".new")
-    with new.open("w") as stream:
-        stream.write(text)
-        stream.flush()
-        os.fsync(stream.fileno())
-    new.replace(path)
+    """All or nothing, whatever happens to the power. Raises OSError."""
+    whole_file.write(path, text.encode())
 
 
 def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
     """What was kept; None where nothing was. Raises NotUsable."""
     try:
-        plain = json.loads(path.read_text())
+        plain = json.loads(whole_file.read(path))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise NotUsable(f"{path} {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
         raise NotUsable(f"{path} cannot be read ({error})") from None
     try:
         if plain["format"] != FORMAT:
@@ -88,15 +86,25 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         now, then = _digests(machine), plain["sections"]
         changed = [name for name in SECTIONS if now[name] != then.get(name)]
         learned = from_json_data(dict[str, SavedPosterior], plain["methods"])
-        elapsed_s = (utc_ns - int(plain["utc_ns"])) * 1e-9
+        elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
         moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise NotUsable(f"{path} is damaged ({error!r})") from None
+        told = [f"an earlier run found: {watch.describe(one)}. {watch.wanted(one)}" for one in moved]
+    except NotUsable:
+        raise
+    except Exception as error:  # anything may stand there, and a run begins whatever it is
+        raise NotUsable(f"{path} is damaged ({error!r:.200})") from None
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved)
+    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved, told)
+
+
+def _time_ns(told: int) -> int:
+    """Raises ValueError where it is none."""
+    if not -1 < told < 1 << 63:
+        raise ValueError(f"no time: {told}")
+    return int(told)
 
 
 def _digests(machine: Machine) -> dict[str, str]:
@@ -131,6 +139,6 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
         report(
             "accepted", f"{one.what} is as it was accepted in an earlier run, not as the machine file says"
         )
-    for moved in found.moved:
-        report(watch.EVENT, f"an earlier run found: {watch.describe(moved)}. {watch.wanted(moved)}")
+    for text in found.told:
+        report(watch.EVENT, text)
     return bool(used or found.accepted or found.moved)

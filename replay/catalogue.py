@@ -17,6 +17,7 @@ from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 BESIDE: Final = frozenset({".json", ".csv", ".toml", ".txt", ".html", ".png"})  # in a folder no logs, mostly
 
@@ -51,14 +52,14 @@ def _in_folder(folder: Path) -> list[CatalogueRun]:
         notes = list[str]()
         with suppress(ValueError, OSError):
             notes = run.sidecar().notes
-        found.append(CatalogueRun(run.name, run.files, tuple(notes)))
+        found.append(CatalogueRun(readable(run.name), run.files, tuple(notes)))
     known = {path for run in stored for path in run.files}
     for path in sorted(folder.iterdir()):
         if path in known or not path.is_file() or path.suffix in BESIDE:
             continue
         with suppress(LogError):
             open_log(path).file.close()
-            found.append(CatalogueRun(path.stem, (path,)))
+            found.append(CatalogueRun(readable(path.stem), (path,)))
     if not found:
         raise ForeignLog(f"{folder}: no run is in it; name the folder that the logs are in")
     return found
@@ -74,7 +75,7 @@ def _add_file(found: list[CatalogueRun], path: Path) -> None:
         if parts[0][0] == run and (not run or (run, part) not in parts):  # a copy, or another replay, is none
             found[number] = replace(other, paths=(*other.paths, path))
             return
-    found.append(CatalogueRun(_PART.sub("", path.stem), (path,)))
+    found.append(CatalogueRun(readable(_PART.sub("", path.stem)), (path,)))
 
 
 def _run_part(path: Path) -> tuple[str, str]:

@@ -15,10 +15,11 @@ from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
 from mcap.records import Metadata
 
+from tilth.logger.log.lock import is_being_written
 from tilth.logger.log.mcap_file import DAMAGE, RecordPlace, body_of, is_finished, unpacked, walk
 from tilth.logger.log.mcap_log import CAN_TOPIC
 from tilth.logger.log.mcap_summary import times_of
-from tilth.logger.log.recovery import is_being_written, is_ours
+from tilth.logger.log.recovery import is_ours
 from tilth.replay.simulated import mark_of
 from tilth.replay.survey import messages_in
 from tilth.schemas.proto import tilth_pb2 as pb

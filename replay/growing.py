@@ -41,6 +41,7 @@ from tilth.replay.readers.rig import NO_RECEIVER, on_buses_of
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import readable
 
 RECENT_NS: Final = 12 * 3600 * 1_000_000_000  # a run that began so long before the present one counts
 DAMAGED: Final = "{}: damaged and left out: {}. All else counts."
@@ -246,12 +247,12 @@ class FollowedLogs:
         found = list(self._notes)
         for one in self._files.values():
             if one.log.lost:
-                found.append(LOST.format(one.path.name))
+                found.append(LOST.format(readable(one.path.name)))
             elif one.log.waits_for_end:
-                found.append(AWAITED.format(one.path.name))
+                found.append(AWAITED.format(readable(one.path.name)))
             elif count := sum(one.log.skipped.values()):
-                found.append(DAMAGED.format(one.path.name, count))
-        found += [f"{path.name} does not count: {NO_RECEIVER}." for path in self._silent()]
+                found.append(DAMAGED.format(readable(one.path.name), count))
+        found += [f"{readable(path.name)} does not count: {NO_RECEIVER}." for path in self._silent()]
         return found
 
     @property
@@ -334,7 +335,7 @@ class FollowedLogs:
                 return  # not yet
             self._looked.add(key)
             if text is None:
-                self._notes.append(NO_MACHINE.format(path.name))
+                self._notes.append(NO_MACHINE.format(readable(path.name)))
             elif text == self._text:
                 self._files[key] = _Followed(path, GrowingLog(path))
             else:
@@ -355,8 +356,8 @@ def _other(path: Path, text: str, machine: Machine) -> str:
     except (tomllib.TOMLDecodeError, KeyError, TypeError):
         name = ""
     if name and name != machine.name:
-        return f"{path.name} does not count: it is of another rig, {name}."
+        return f"{readable(path.name)} does not count: it is of another rig, {name}."
     return (
-        f"{path.name} does not count: it was written with another machine file. To go on with that one, "
-        "start this command anew."
+        f"{readable(path.name)} does not count: it was written with another machine file. To go on with that "
+        "one, start this command anew."
     )

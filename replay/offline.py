@@ -25,6 +25,7 @@ from tilth.schemas.flow import Accepted, Estimate, Event, Frame, Origin, Pose, P
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
+from tilth.schemas.readable import readable
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC})
@@ -313,7 +314,7 @@ class _Run:
         text = f"its stored state is not used: {reason}; going on without it"
         self._say(f"{log.path}: {text}")
         event = Publication(
-            stored.t_ns, "/event", Event(stored.t_ns, "stored_state", f"{log.path.name}: {text}")
+            stored.t_ns, "/event", Event(stored.t_ns, "stored_state", f"{readable(log.path.name)}: {text}")
         )
         self._put([(event, payload(event))])
 

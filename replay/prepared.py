@@ -24,6 +24,7 @@ from tilth.replay.recorded import Progress, RecordedRun
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Zenoh
+from tilth.schemas.readable import readable
 
 MOST_BYTES: Final = 10e9  # of all that is kept
 _OURS: Final = re.compile(r".+_[0-9a-f]{16}(\.\d+)?\.\w+")
@@ -95,7 +96,7 @@ def prepared_path(folder: Path, paths: Sequence[Path], machine: Machine, text: s
     known = hashlib.sha256(f"{software()['version']} {machine_sha256(machine, text)}".encode())
     for path in paths:
         stat = path.stat()
-        known.update(f"\n{path.resolve()} {stat.st_size} {stat.st_mtime_ns}".encode())
+        known.update(f"\n{readable(path.resolve())} {stat.st_size} {stat.st_mtime_ns}".encode())
     return folder / f"{paths[0].stem[:60]}_{known.hexdigest()[:16]}.mcap"
 
 
@@ -120,7 +121,7 @@ def prepare(
     kept = Derived(target.parent, _OURS, MOST_BYTES, machine.log.keep_free_megabytes * 1e6)
     room = room_for(kept, paths)
     try:
-        run = RunPart(target.stem, 1, _first_ns(paths), simulated=simulated_by(paths))
+        run = RunPart(readable(target.stem), 1, _first_ns(paths), simulated=simulated_by(paths))
         writer = LogWriter(unfinished, machine, text, run)
         try:
             outputs = ReplayOutputs(

@@ -22,6 +22,7 @@ from tilth.replay.survey import messages_in
 from tilth.replay.turns import turns
 from tilth.schemas.channels import CHANNELS
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 # What can be published again. The rig is said by whoever publishes, from the machine file.
 TOPICS: Final = frozenset(row.topic for row in CHANNELS if row.key is not None and row.logged)
@@ -119,7 +120,7 @@ class RecordedRun:
     @property
     def text(self) -> str:
         """What is missing in it, in a sentence; "" where nothing is."""
-        parts = [f"{path.name} is cut off: it plays as far as it is whole" for path in self.cut]
+        parts = [f"{readable(path.name)} is cut off: it plays as far as it is whole" for path in self.cut]
         parts += [f"{self.damaged} damaged parts are left out"] if self.damaged else []
         return "; ".join(parts)
 

@@ -12,10 +12,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata
 
+from tilth.logger.log.lock import is_being_written
 from tilth.logger.log.mcap_file import HEAD, HOLE, MAGIC, MESSAGE
 from tilth.logger.log.mcap_log import CAN_TOPIC, ClockReason
 from tilth.logger.log.mcap_records import McapRecords
-from tilth.logger.log.recovery import is_being_written, is_ours
+from tilth.logger.log.recovery import is_ours
 from tilth.logger.log.runs import file_name
 from tilth.replay.readers.log import MOST_TOLD
 from tilth.schemas.invocation import command

@@ -6,8 +6,8 @@ LOG.truth.csv   both bodies, wheel angle, slip and soil over time, on the clock 
 """
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import RIG_PARAMETERS
 from tilth.logger.log.mcap_log import SIMULATED, LogWriter, RunPart, software
+from tilth.logger.log.whole_file import whole
 from tilth.replay.simulated import TRUTH
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import readable
 from tilth.simulator.drive import drive
 from tilth.simulator.ground import AXLES, crossings
 from tilth.simulator.receivers import ORIGIN_DEG
@@ -126,27 +128,17 @@ def simulate_to(
         source.machine, source.seed, source.seconds, source.scenario,
         progress=lambda seconds: progress("driving", seconds),
     )  # fmt: skip
-    try:
-        with closing(make(log, source)) as writer:
-            _write_truth(source, truth, files)
-            count = 0
-            start_ns = host_clock(truth)(0.0)
-            for count, frame in enumerate(traffic(source.machine, truth), start=1):
-                writer.frame(frame)
-                if count % SHOWN == 0:
-                    progress("frames", (frame.t_ns - start_ns) * 1e-9)
-    except BaseException as error:
-        _discard(files, error)
-        raise
+    with ExitStack() as stack:
+        part, *beside = (stack.enter_context(whole(path)) for path in files)
+        writer = stack.enter_context(closing(make(part, source)))
+        _write_truth(source, truth, files, beside)
+        count = 0
+        start_ns = host_clock(truth)(0.0)
+        for count, frame in enumerate(traffic(source.machine, truth), start=1):
+            writer.frame(frame)
+            if count % SHOWN == 0:
+                progress("frames", (frame.t_ns - start_ns) * 1e-9)
     return Simulated(truth, count, files)
-
-
-def _discard(files: tuple[Path, Path, Path], error: BaseException) -> None:
-    """Remove what was begun; not what somebody else has made meanwhile, and what would have come after it."""
-    for path in files:
-        if isinstance(error, FileExistsError) and Path(error.filename) == path:
-            return
-        path.unlink(missing_ok=True)
 
 
 # The truth.
@@ -235,11 +227,14 @@ def columns_of(truth: Truth) -> tuple[Column, ...]:
     return COLUMNS if truth.space is None else COLUMNS + SPATIAL_COLUMNS
 
 
-def _write_truth(source: SimulationInput, truth: Truth, files: tuple[Path, Path, Path]) -> None:
-    log, described, table = files
-    text = json.dumps(_description(source, truth, log, table), indent=1, ensure_ascii=False)
-    with described.open("x", encoding="utf-8") as stream:
-        stream.write(text + "\n")
+def _write_truth(
+    source: SimulationInput, truth: Truth, files: tuple[Path, Path, Path], parts: Sequence[Path]
+) -> None:
+    """parts: what becomes the two files of the truth."""
+    log, _, named = files
+    described, table = parts
+    text = json.dumps(_description(source, truth, log, named), indent=1, ensure_ascii=False)
+    described.write_text(readable(text) + "\n", encoding="utf-8")
     columns = columns_of(truth)
     values = np.column_stack([column.of(truth)[::KEEP] for column in columns]).tolist()
     with table.open("x", encoding="ascii") as stream:

@@ -33,6 +33,7 @@ from tilth.replay.simulated import SAID, simulated_by
 from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import readable
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import plus_minus
@@ -163,7 +164,7 @@ def calibrate_logs(
     senders = receivers.HeardReceivers()
     for measurement in heard.measurements:
         receivers.take(senders, measurement)
-    names = tuple(path.name for path in paths)
+    names = tuple(readable(path.name) for path in paths)
     return Calibrated(
         machine,
         found,

@@ -29,6 +29,7 @@ from tilth.analysis.runs.table import Table
 from tilth.replay.readers.arrays import frame_parts
 from tilth.replay.readers.log import EmptyLog
 from tilth.schemas.frame_columns import FrameColumns
+from tilth.schemas.readable import readable
 
 CLOCK: Final = "clock"  # the file of all channels
 ABOUT: Final = "export.json"
@@ -114,7 +115,8 @@ def export(run: Run, plan: ExportPlan, folder: Path, progress: Progress = no_pro
             )
         done.rows, done.skipped = files.rows, passes.skipped()
         about = {**facts, "skipped": dict(done.skipped), "files": files.about()}
-        (place / ABOUT).write_text(json.dumps(about, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        text = readable(json.dumps(about, indent=2, ensure_ascii=False))
+        (place / ABOUT).write_text(text + "\n", encoding="utf-8")
     return done
 
 

@@ -7,6 +7,7 @@ from tilth.analysis.export.columns import FRAMES, ExportColumn
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
 from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.schemas.readable import readable
 
 
 def facts_of(run: Run) -> dict[str, Any]:
@@ -15,7 +16,8 @@ def facts_of(run: Run) -> dict[str, Any]:
     machine = {"toml": text, "sha256": machine_sha256(run.machine, text)} | ({"dbc": dbc} if dbc else {})
     clock = run.reader.clock
     sources = [
-        {"file": path.name, "bytes": path.stat().st_size, "sha256": sha256_of(path)} for path in run.sources
+        {"file": readable(path.name), "bytes": path.stat().st_size, "sha256": sha256_of(path)}
+        for path in run.sources
     ]
     return {
         "tilth": software()["version"],

@@ -4,11 +4,9 @@ A segment that was fitted before, from the same log with the same machine file b
 fitted again, nor are the same segments joined again: an interrupted fit goes on where it was.
 """
 
-import contextlib
 import math
 import multiprocessing
 import os
-import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -17,7 +15,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -27,15 +24,14 @@ from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_se
 from tilth.analysis.fit.side_by_side import side_by_side
 from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import Driven, driving, identity
-from tilth.analysis.runs.kept import cache_folder, has_room, key_of
+from tilth.analysis.runs.kept import cache_folder, key_of, load, store
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.estimator.methods import pem
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.logger.log.mcap_log import machine_sha256
-from tilth.schemas.machine import Log, Machine
+from tilth.schemas.machine import Machine
 
-Kept = TypeVar("Kept", SegmentFit, Linearised)
 Progress = Callable[[int, int], None]  # segments done, of all
 
 
@@ -170,12 +166,12 @@ def fit_all(
         machine = machine.model_copy(update={"estimation": estimation})
     folder = cache or cache_folder()
     names = [_name(one, methods) for one in wanted]
-    kept = [_load(folder / name, SegmentFit) for name in names]
+    kept = [load(folder / name, SegmentFit) for name in names]
     found = {k: fit for k, fit in enumerate(kept) if fit is not None}
     progress(len(found), len(wanted))
     open_ones = [k for k in range(len(wanted)) if k not in found]
     for k, fit in _fit_these(machine, wanted, open_ones, methods, jobs, cache):
-        _store(folder / names[k], fit, machine.log)
+        store(folder / names[k], fit, machine.log)
         found[k] = fit
         progress(len(found), len(wanted))
     fits = tuple(found[k] for k in range(len(wanted)))
@@ -184,11 +180,11 @@ def fit_all(
         return Fitted(tuple(wanted), fits, (), None, None)
     between = [_distance(wanted[a], wanted[b]) for a, b in pairwise(told)]
     together = folder / f"{key_of(*(names[k] for k in told), *between)}.joint"
-    linearised = _load(together, Linearised)
+    linearised = load(together, Linearised)
     if linearised is None:
         with side_by_side(len(told), jobs) as each:
             linearised = linearise(machine, [fits[k] for k in told], between, each)
-        _store(together, linearised, machine.log)
+        store(together, linearised, machine.log)
     joint = join(machine, linearised)
     apart = () if joint.agreement.agrees else groups(machine, linearised.told, linearised.between_m)
     return Fitted(
@@ -260,26 +256,3 @@ def _name(one: Wanted, methods: Sequence[str]) -> str:
     rig = machine_sha256(one.run.machine, one.run.machine_text)
     times = f"{one.segment.start_s!r} {one.segment.end_s!r}"
     return f"{key_of(*files, rig, times, *methods, pem.METHOD)}.fit"
-
-
-def _load(path: Path, kind: type[Kept]) -> Kept | None:
-    try:
-        with path.open("rb") as file:
-            found = pickle.load(file)
-    except (OSError, EOFError, pickle.UnpicklingError, AttributeError, ImportError):
-        return None
-    return found if isinstance(found, kind) else None
-
-
-def _store(path: Path, found: Kept, log: Log) -> None:
-    """Raises nothing: a cache that cannot be written costs time, no result."""
-    unfinished = path.with_suffix(f".{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not has_room(path.parent, log):
-            return
-        unfinished.write_bytes(pickle.dumps(found))
-        unfinished.replace(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            unfinished.unlink(missing_ok=True)

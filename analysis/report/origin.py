@@ -5,6 +5,7 @@ from typing import Any
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
 from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.schemas.readable import readable
 
 
 def origin_of(run: Run) -> dict[str, Any]:
@@ -12,11 +13,11 @@ def origin_of(run: Run) -> dict[str, Any]:
     replayed = any(file.path not in run.sources for file in run.files)
     return {
         "logs": [
-            {"path": str(path), "bytes": path.stat().st_size, "sha256": sha256_of(path)}
+            {"path": readable(path), "bytes": path.stat().st_size, "sha256": sha256_of(path)}
             for path in run.sources
         ],
         "whole": run.whole,
-        "cut": [file.path.name for file in run.files if not file.whole],
+        "cut": [readable(file.path.name) for file in run.files if not file.whole],
         "replayed": replayed,
         "machine_sha256": machine_sha256(run.machine, run.machine_text),
         "recorded_with": {} if replayed else dict(run.software),

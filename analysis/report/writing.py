@@ -10,6 +10,7 @@ from tilth.analysis.report.document import DriveReport, figures_of
 from tilth.analysis.report.figures import pdf, svg
 from tilth.analysis.report.page import page
 from tilth.analysis.report.paper import paper
+from tilth.schemas.readable import readable
 
 
 def outputs(out: Path, with_pdf: bool) -> list[Path]:
@@ -59,8 +60,8 @@ def write(
 def _contents(
     report: DriveReport, content: dict[str, Any], out: Path, with_pdf: bool, figures: Path | None
 ) -> Iterator[tuple[Path, bytes]]:
-    yield out, page(report).encode()
-    yield out.with_suffix(".json"), json_text(content).encode()
+    yield out, readable(page(report)).encode()
+    yield out.with_suffix(".json"), readable(json_text(content)).encode()
     if with_pdf:
         yield out.with_suffix(".pdf"), paper(report)
     if figures is not None:

@@ -3,16 +3,12 @@
 Made by the same fold as live, without its estimators; kept, since fits ask for it again and again.
 """
 
-import contextlib
-import pickle
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-import zstandard
-
-from tilth.analysis.runs.kept import Progress, cache_folder, has_room, key_of, no_progress
+from tilth.analysis.runs.kept import Progress, cache_folder, key_of, load, no_progress, store
 from tilth.analysis.runs.run import Run
 from tilth.estimator import fold
 from tilth.estimator.record.record import Segment
@@ -20,7 +16,6 @@ from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Frame, Pose
-from tilth.schemas.machine import Log
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
 SHOWN_EVERY: Final = 8192  # frames between two looks at a progress bar
@@ -52,7 +47,7 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
         damage = list[str]()
         found = tuple(_drive(run, progress, damage))
         if not damage:  # what is kept is known by both ends of a file alone
-            _store(kept, found, run.machine.log)
+            store(kept, found, run.machine.log)
         for text in damage:
             run.reader.tell(text)
     return found
@@ -101,29 +96,4 @@ def identity(path: Path) -> str:
 @lru_cache(maxsize=1)
 def _loaded(kept: Path, _written_ns: int) -> tuple[Driven, ...] | None:
     """Segments of a run are asked for one by one; a file that was written again is read again."""
-    return _load(kept)
-
-
-def _load(kept: Path) -> tuple[Driven, ...] | None:
-    """What is kept; None where nothing is, or nothing that can be read."""
-    try:
-        with zstandard.open(kept, "rb") as file:
-            found = pickle.load(file)
-    except (OSError, EOFError, pickle.UnpicklingError, zstandard.ZstdError, AttributeError, ImportError):
-        return None
-    return found if isinstance(found, tuple) else None
-
-
-def _store(kept: Path, found: tuple[Driven, ...], log: Log) -> None:
-    """Raises nothing: a cache that cannot be written costs time, no result."""
-    unfinished = kept.with_suffix(".part")
-    try:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        if not has_room(kept.parent, log):
-            return
-        with zstandard.open(unfinished, "wb", zstandard.ZstdCompressor(level=1)) as file:
-            pickle.dump(found, file, pickle.HIGHEST_PROTOCOL)
-        unfinished.replace(kept)
-    except OSError:
-        with contextlib.suppress(OSError):
-            unfinished.unlink(missing_ok=True)
+    return load(kept, tuple[Driven, ...])

@@ -5,12 +5,17 @@ The name of what is kept tells of what it was made: the log's bytes, the machine
 
 import contextlib
 import hashlib
+import json
 import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
+import zstandard
+
+from tilth.estimator.state_json import from_json_data, to_json_data
+from tilth.logger.log import whole_file
 from tilth.logger.log.derived import Derived
 from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
 from tilth.replay.kept_room import room_for
@@ -19,12 +24,17 @@ from tilth.replay.readers.any_log import open_log
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Log, Machine
+from tilth.schemas.readable import readable
 
 Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
-FORM: Final = 9  # of what is kept; grows when its meaning changes
+FORM: Final = 10  # of what is kept; grows when its meaning changes
 SMALL_BYTES: Final = 20e6
 _BLOCK: Final = 1 << 20
+_HEAD: Final = b"tilth kept 1\n"  # then the SHA-256 of all that follows, which is JSON, packed
+_DIGEST: Final = hashlib.sha256().digest_size
+
+Kept = TypeVar("Kept")
 
 
 MOST_BYTES: Final = 10e9  # of all that is kept
@@ -70,6 +80,32 @@ def key_of(*parts: object) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
+def load(path: Path, kind: type[Kept]) -> Kept | None:
+    """What `store` wrote there; None where nothing is, or not to the byte what was written.
+
+    It is data and no more: a file that somebody has prepared can be wrong, and runs nothing.
+    """
+    try:
+        stored = path.read_bytes() if path.is_file() else b""
+        digest, packed = stored[len(_HEAD) :][:_DIGEST], stored[len(_HEAD) + _DIGEST :]
+        if not stored.startswith(_HEAD) or hashlib.sha256(packed).digest() != digest:
+            return None
+        found: Kept = from_json_data(kind, json.loads(zstandard.decompress(packed)))
+    except (OSError, ValueError, RecursionError, zstandard.ZstdError):
+        return None
+    return found
+
+
+def store(path: Path, found: object, log: Log) -> None:
+    """Raises nothing: a cache that cannot be written costs time, no result. Nor is one on a full disk."""
+    packed = zstandard.compress(json.dumps(to_json_data(found)).encode(), 1)
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not has_room(path.parent, log):
+            return
+        whole_file.write(path, _HEAD + hashlib.sha256(packed).digest() + packed)
+
+
 def replayed(
     path: Path,
     machine: Machine,
@@ -96,7 +132,7 @@ def replayed(
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = kept.with_suffix(f".{os.getpid()}.part")
     size = path.stat().st_size
-    run = RunPart(path.stem, 1, _first_ns(path), simulated=simulated_by([path]))
+    run = RunPart(readable(path.stem), 1, _first_ns(path), simulated=simulated_by([path]))
     writer = LogWriter(unfinished, machine, machine_text, run)
     try:
         with contextlib.closing(writer):

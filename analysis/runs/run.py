@@ -34,6 +34,7 @@ from tilth.replay.simulated import REPLAY, SAID, simulated_by
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import readable
 
 MARK: Final = "mark"  # kind of the events that an operator makes
 RECOMMENDED: Final = "recommended"
@@ -218,7 +219,7 @@ def _name(path: Path, file: LogFile, said: str) -> str:
     """What a run is called: what its log says, if that is for people; else as its files are."""
     if said and path == file.path and not DAEMON_RUN.fullmatch(said):
         return said
-    return path.stem.removesuffix(f"_{_part(file):03d}")
+    return readable(path.stem.removesuffix(f"_{_part(file):03d}"))
 
 
 def _part(file: LogFile) -> int:

@@ -9,6 +9,7 @@ where they lie in two parameters at once, and kept apart.
 import hashlib
 import io
 import os
+import zlib
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
@@ -16,6 +17,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,7 +208,7 @@ def run(
     kept.mkdir(parents=True, exist_ok=True)
     starts = range(0, plan.design.size, plan.batch)
     files = [kept / f"{start}.npz" for start in starts]
-    missing = [start for start, file in zip(starts, files, strict=True) if not file.exists()]
+    missing = [start for start, file in zip(starts, files, strict=True) if _kept_part(file) is None]
     already = len(files) - len(missing)
     progress(already, len(files))
     with closing(parts(plan, missing)) as found:
@@ -242,7 +244,15 @@ def _keep(stored: bytes, start: int, folder: Path) -> None:
         raise OSError(error.errno, error.strerror, str(folder)) from None
 
 
+def _kept_part(file: Path) -> Part | None:
+    """None where it is not there, or not as it was written: each array in it has a checksum."""
+    try:
+        return _read(file) if file.is_file() else None
+    except (OSError, ValueError, LookupError, EOFError, RuntimeError, BadZipFile, zlib.error):
+        return None
+
+
 def _read(file: Path) -> Part:
-    with np.load(file) as stored:
+    with file.open("rb") as opened, np.load(opened, allow_pickle=False) as stored:
         arrays = [stored[f"arr_{k}"] for k in range(12)]
     return Part(Kept(*arrays[:5]), Kept(*arrays[5:10]), *arrays[10:])

@@ -17,6 +17,7 @@ from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
 from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import YEARS, Clock
+from tilth.logger.log.lock import UNLOCKED, lock
 from tilth.logger.status import LOW_HOURS, recording_hours
 from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.machine import Machine
@@ -97,6 +98,7 @@ def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
             began = time.monotonic()
             os.fsync(trial.fileno())
             took_s = time.monotonic() - began
+            locked = lock(trial.fileno())
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         yield CheckFinding(
@@ -106,6 +108,8 @@ def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
         )
         return
     yield CheckFinding("log folder", Level.OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
+    if not locked:
+        yield CheckFinding("log folder", Level.NOTE, f"{folder}: {UNLOCKED}")
     free = shutil.disk_usage(place).free
     hours = recording_hours(max(0.0, free - keep_free))
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"
@@ -154,6 +158,8 @@ def _synchronised() -> bool | None:
 
 def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     try:
+        if why_not := compiling.untrusted():
+            raise compiling.NoCacheFolder(why_not)
         folder = compiling.cache_folder(machine)
     except compiling.NoCacheFolder as why:
         yield CheckFinding("kernels", Level.PROBLEM, str(why))

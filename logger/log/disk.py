@@ -5,7 +5,6 @@ synced when it is written; where others wait behind it, one sync does for all.
 """
 
 import contextlib
-import fcntl
 import os
 import shutil
 import threading
@@ -13,6 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
+
+from tilth.logger.log.lock import lock
 
 LEAVE_S = 10.0  # how long the end of a run waits for a disk that does not answer
 
@@ -95,6 +96,7 @@ class Spool:
         self.path = path
         self.opened = False
         self.closed = False  # nothing will change any more
+        self.locked = True  # False where its file system has no locks
         self.error: OSError | None = None
         self.safe_bytes = 0
         self.safe_frames = 0
@@ -157,7 +159,7 @@ class Spool:
             raise OSError(None, f"only {free / 1e6:.0f} MB free; make room", str(folder))
         self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         # Another program's recovery may have been quicker to take the empty file, and to finish it as such.
-        fcntl.flock(self._descriptor, fcntl.LOCK_EX)
+        self.locked = lock(self._descriptor, wait=True)
         os.ftruncate(self._descriptor, 0)
         sync_folder(folder)
         self.opened = True

@@ -6,7 +6,6 @@ File order is processing order. Used by the daemon (through run_log.py) and by `
 """
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import platform
@@ -23,6 +22,7 @@ from google.protobuf.message import Message as ProtoMessage
 from mcap.writer import CompressionType, Writer
 
 from tilth.logger.clock import Clock, boot_id, utc_text
+from tilth.logger.log.lock import lock
 from tilth.schemas.channels import CHANNEL, file_descriptor_set
 from tilth.schemas.flow import Frame, Publication
 from tilth.schemas.machine import Machine
@@ -195,7 +195,7 @@ class LogWriter:
 
 def _new_file(path: Path) -> IO[bytes]:
     stream = path.open("xb")
-    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody takes it for one that was left unfinished
+    lock(stream.fileno())  # nobody takes it for one that was left unfinished
     return stream
 
 

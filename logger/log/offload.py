@@ -5,6 +5,7 @@ What an interrupted copy left behind is compared and gone on from.
 """
 
 import contextlib
+import errno
 import hashlib
 import os
 import shutil
@@ -13,12 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from tilth.logger.log import recovery
+from tilth.logger.log import recovery, whole_file
 from tilth.logger.log.disk import sync_folder
+from tilth.logger.log.lock import is_being_written
 from tilth.logger.log.mcap_file import is_finished
 from tilth.logger.log.runs import Copied, StoredRun
 
 _BLOCK = 1 << 20
+_READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
 class CannotCopy(Exception):
@@ -33,37 +36,46 @@ class Done:
     there: int  # that had been copied before
     not_copied: tuple[str, ...]  # why each other file was not
     damaged: tuple[str, ...] = ()  # what is wrong with files that were copied as they are
+    not_noted: str = ""  # why it cannot be noted beside the run that it was copied
 
 
 def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda text: None) -> Done:
     """Copy the files of a run that have no copy there. Raises CannotCopy, and ValueError as `run.sidecar`."""
-    copied = there = 0
+    there, not_noted = 0, ""
     not_copied: list[str] = []
     damaged: list[str] = []
+    copies: dict[str, Copied] = {}
+    sidecar = run.sidecar()
     for path in run.files:
-        sidecar = run.sidecar()
-        known = sidecar.copied.get(path.name)
-        size = path.stat().st_size
-        if (
-            known is not None
-            and known.size == size
-            and known.to == str(to)
-            and _has_size(to / path.name, size)
-        ):
-            there += 1
-            continue
-        why_not = _unready(path, damaged)
+        try:
+            if _is_there(path, sidecar.copied.get(path.name), to):
+                there += 1
+                continue
+            why_not = _unready(path, damaged)
+        except OSError as error:
+            why_not = f"{path}: {(error.strerror or str(error)).lower()}"
         if why_not:
             not_copied.append(why_not)
             continue
         progress(path.name)
-        sidecar.copied[path.name] = copy(path, to)
-        run.write_sidecar(sidecar)
-        copied += 1
-    if copied:
+        copies[path.name] = copy(path, to)
+        sidecar = run.sidecar()  # somebody may have added to it meanwhile
+        sidecar.copied |= copies
+        try:
+            run.write_sidecar(sidecar)
+        except OSError as error:  # a card that is full, or read-only: its runs are saved all the same
+            not_noted = f"{run.folder}: {(error.strerror or str(error)).lower()}"
+    if copies:
         with _in_words(to):
-            shutil.copyfile(run.sidecar_path, to / run.sidecar_path.name)
-    return Done(copied, there, tuple(not_copied), tuple(damaged))
+            whole_file.write(to / run.sidecar_path.name, sidecar.text.encode())
+    return Done(len(copies), there, tuple(not_copied), tuple(damaged), not_noted)
+
+
+def _is_there(path: Path, known: Copied | None, to: Path) -> bool:
+    size = path.stat().st_size
+    if known is None or (known.size, known.to) != (size, str(to)):
+        return False
+    return _has_size(to / path.name, size)
 
 
 def copy(path: Path, to: Path) -> Copied:
@@ -94,19 +106,23 @@ def copy(path: Path, to: Path) -> Copied:
 
 
 def _unready(path: Path, damaged: list[str]) -> str:
-    """Why a file cannot be copied yet; one that was left unfinished is finished first.
+    """Why a file cannot be copied yet; one that was left unfinished is finished first, where it can be
+    written: else its copy is as it is. Raises OSError.
 
     damaged: gets what is wrong with one that is damaged, which is copied to the byte.
     """
     with path.open("rb") as file:
         if is_finished(file, path.stat().st_size):
             return ""
+        recorded = is_being_written(file)
     try:
         recovery.finish(path)
     except recovery.Damaged as error:
         damaged.append(str(error))
     except recovery.NoLog as error:
         return str(error)
+    except OSError as error:
+        return "" if error.errno in _READ_ONLY and not recorded else f"{path}: {error.strerror}"
     return ""
 
 

@@ -7,11 +7,10 @@ record of a private kind (opcode 128) that every reader of MCAP passes over.
 """
 
 import contextlib
-import fcntl
 import io
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -21,6 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from tilth.logger.log.disk import sync_folder
+from tilth.logger.log.lock import grows, is_being_written, lock
 from tilth.logger.log.mcap_file import (
     HEAD,
     HOLE,
@@ -108,9 +108,11 @@ def _held(path: Path) -> Iterator[BinaryIO]:
     """The file, which nobody else takes meanwhile. Raises NoLog where it is being written."""
     with path.open("rb") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            written = not lock(file.fileno()) and grows(file)
         except BlockingIOError:
-            raise NoLog(f"{path}: is being recorded; it is whole when that run has ended") from None
+            written = True
+        if written:
+            raise NoLog(f"{path}: is being recorded; it is whole when that run has ended")
         yield file
 
 
@@ -121,6 +123,8 @@ def unfinished(folder: Path) -> list[Path]:
         return found
     for path in sorted(folder.glob("*.mcap")):
         try:
+            if not path.is_file():  # a pipe of that name would be waited for
+                continue
             with path.open("rb") as file:
                 size = file.seek(0, io.SEEK_END)
                 if not is_finished(file, size) and not is_being_written(file) and is_ours(file, size):
@@ -130,30 +134,25 @@ def unfinished(folder: Path) -> list[Path]:
     return found
 
 
-def finish_all(folder: Path, report: Callable[[str, str], None]) -> None:
-    """Finish what earlier runs could not. report: takes kind and text of an event for each file."""
+def finish_all(
+    folder: Path, report: Callable[[str, str], None], ours: Callable[[], Sequence[Path]] = tuple
+) -> None:
+    """Finish what earlier runs could not. report: takes kind and text of an event for each file. ours: what
+    this program writes itself."""
     for copy in folder.glob(f"*{COPY}"):  # of a file that was finished or removed meanwhile
         if not copy.with_suffix("").exists():
             copy.unlink(missing_ok=True)
     for path in unfinished(folder):
+        if path in ours():
+            continue
         try:
             done = finish(path)
         except FileNotFoundError:  # deleted meanwhile to make room
             continue
-        except (NoLog, OSError) as error:
+        except Exception as error:  # whatever lies there, those after it are finished
             report("log", f"{path.name} was left unfinished and stays so: {error}")
         else:
             report("log", f"{path.name} was left unfinished; finished now: {done.messages} messages")
-
-
-def is_being_written(file: BinaryIO) -> bool:
-    """Whether another program holds it for writing, as the recorder does until a file is whole."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
 
 
 def is_ours(file: BinaryIO, size: int) -> bool:

@@ -14,6 +14,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.log import recovery
 from tilth.logger.log.counts import RecordedCounts
 from tilth.logger.log.disk import Disk
+from tilth.logger.log.lock import UNLOCKED
 from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.open_file import OpenFile
 from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderStates
@@ -65,10 +66,13 @@ class Recording:
         self._now_ns = clock.t_ns()  # of the last tick
         self._last_frame_ns = self._now_ns
         self._next_ns = self._now_ns + FLUSH_NS
+        self._said_unlocked = False
         self._back_off = BackOff(FIRST_RETRY_NS, LONGEST_RETRY_NS)
         self._open(with_state, at_once=True)
         threading.Thread(
-            target=lambda: recovery.finish_all(folder, report), name="tilth-recovery", daemon=True
+            target=lambda: recovery.finish_all(folder, report, lambda: self.files),
+            name="tilth-recovery",
+            daemon=True,
         ).start()
 
     @property
@@ -193,6 +197,7 @@ class Recording:
         if file.spool.error is not None:
             self._fail(file, file.spool.error)
             return
+        self._say_unlocked(file)
         file.flush()
         stalled_s = self._disk.stalled_s
         if stalled_s > SLOW_S and self._states.recording:
@@ -211,6 +216,11 @@ class Recording:
         elif file.is_due(self._now_ns, self._machine.log) or self._run.correct_name(self._report):
             self._finish(file, ClockReason.ROTATION)
             self._open(with_state=True)
+
+    def _say_unlocked(self, file: OpenFile) -> None:
+        if not (file.spool.locked or self._said_unlocked):
+            self._said_unlocked = True
+            self._report("log", f"{self.folder}: {UNLOCKED}")
 
     def _is_silent(self) -> bool:
         """Whether no frame has come for so long that the ignition must be off."""

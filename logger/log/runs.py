@@ -6,7 +6,6 @@ file that was copied off its size, SHA-256 and where to. The log files themselve
 
 import calendar
 import json
-import os
 import re
 import time
 from dataclasses import asdict, dataclass, field
@@ -14,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from tilth.logger.clock import EARLIEST_NS, utc_text
+from tilth.logger.log import whole_file
 from tilth.logger.log.disk import sync_folder
+from tilth.schemas.readable import readable
 
 STAMP = "%Y%m%dT%H%M%SZ"
 _FILE = re.compile(r"(?P<run>.+_(?P<stamp>\d{8}T\d{6}Z))_(?P<part>\d{3,})\.mcap")
@@ -37,6 +38,11 @@ class Sidecar:
     keep: bool = False
     notes: list[str] = field(default_factory=list)
     copied: dict[str, Copied] = field(default_factory=dict)  # file name -> its copy
+
+    @property
+    def text(self) -> str:
+        """As it stands in the file; a file name that is not UTF-8 is escaped."""
+        return readable(json.dumps(asdict(self), indent=1, ensure_ascii=False))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,24 +67,19 @@ class StoredRun:
     def sidecar(self) -> Sidecar:
         """Read the sidecar. Raises ValueError where it cannot be understood, and OSError."""
         try:
-            plain: dict[str, Any] = json.loads(self.sidecar_path.read_text(encoding="utf-8"))
+            plain: dict[str, Any] = json.loads(whole_file.read(self.sidecar_path).decode())
             copied = {name: Copied(**copy) for name, copy in plain["copied"].items()}
-            return Sidecar(bool(plain["keep"]), [str(note) for note in plain["notes"]], copied)
+            return Sidecar(bool(plain["keep"]), [readable(note) for note in plain["notes"]], copied)
         except FileNotFoundError:
             return Sidecar()
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(
                 f"{self.sidecar_path}: cannot be understood ({error}); mend or remove it"
             ) from None
 
     def write_sidecar(self, sidecar: Sidecar) -> None:
-        """Write the sidecar: all or nothing, also in a power cut."""
-        new = self.sidecar_path.with_suffix(".new")
-        with new.open("w", encoding="utf-8") as stream:
-            json.dump(asdict(sidecar), stream, indent=1, ensure_ascii=False)
-            stream.flush()
-            os.fsync(stream.fileno())
-        new.replace(self.sidecar_path)
+        """Write the sidecar: all or nothing, also in a power cut. Raises OSError."""
+        whole_file.write(self.sidecar_path, sidecar.text.encode())
         sync_folder(self.folder)
 
 
@@ -106,7 +107,7 @@ def stored_runs(folder: Path) -> list[StoredRun]:
     started: dict[str, int] = {}
     for path in folder.glob("*.mcap"):
         match = _FILE.fullmatch(path.name)
-        if match is not None:
+        if match is not None and path.is_file():
             run = match["run"]
             files.setdefault(run, []).append((int(match["part"]), path))
             started[run] = _started_ns(match["stamp"])

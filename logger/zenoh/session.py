@@ -3,12 +3,15 @@
 import json
 import socket
 from pathlib import Path
+from typing import Final
 
 import zenoh
 
 from tilth.logger.zenoh.open_network import endpoints, is_local, setting, ways_in
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, Zenoh
+
+ANSWERS_MS: Final = 500  # how long one that is asked who it is may take
 
 
 def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
@@ -25,11 +28,52 @@ def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
     wanted = endpoints(config, "listen")
     listen = [free_endpoint(endpoint) for endpoint in wanted]
     config.insert_json5("listen/endpoints", json.dumps(listen))
-    taken = (
-        f"{', '.join(wanted)} is taken by another program; listening on {', '.join(listen)}; "
-        "if that is another run of this machine, end one: both publish the same keys"
+    if listen != wanted:
+        notes.append(_beside_others(machine, config, wanted, listen))
+    return zenoh.open(config), listen, "; ".join(notes)
+
+
+def _beside_others(machine: Machine, config: zenoh.Config, wanted: list[str], listen: list[str]) -> str:
+    """What to say where others have the port: who asks there, as marks do, is answered by them.
+
+    A daemon of another machine is joined, so that this one is heard there as well, by its name. Two of one
+    machine stay apart: they would speak on the same keys.
+    """
+    place = f"{', '.join(wanted)} is taken by another program"
+    here = f"listening on {', '.join(listen)}"
+    there = _living_at([one for one in wanted if one not in listen]) if machine.zenoh.config is None else []
+    own = f"{machine.zenoh.prefix}/{machine.name}"
+    if there and not any(one.removesuffix("/replay") == own for one in there):
+        connect = endpoints(config, "connect") + [one for one in wanted if one not in listen]
+        config.insert_json5("connect/endpoints", json.dumps(connect))
+        return (
+            f"{place}, by {' and '.join(there)}; {here}, and heard there too: give --machine with marks and "
+            "orders, since several answer"
+        )
+    whose = f", by {' and '.join(there)}" if there else ""
+    return (
+        f"{place}{whose}; {here}: marks and orders go to the other one, unless given with --endpoint "
+        f"{listen[0]}; if that is another run of this machine, end one: both publish the same keys"
     )
-    return zenoh.open(config), listen, "; ".join([*notes, *[taken] * (listen != wanted)])
+
+
+def _living_at(places: list[str]) -> list[str]:
+    """Keys of the daemons that answer there, such as tilth/rig; none where nobody does, or not at once."""
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", "client"),
+        ("scouting/multicast/enabled", False),
+        ("connect/endpoints", places),
+        ("connect/timeout_ms", ANSWERS_MS),
+        ("connect/exit_on_failure", True),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    try:
+        with zenoh.open(config) as session:
+            replies = list(session.liveliness().get("**/alive", timeout=ANSWERS_MS * 1e-3))
+    except zenoh.ZError:
+        return []
+    return sorted({str(reply.ok.key_expr).removesuffix("/alive") for reply in replies if reply.ok})
 
 
 def refusal(machine: Machine) -> str:

@@ -58,11 +58,3 @@ def test_what_cannot_be_compared(call: Answer, tmp_path: Path) -> None:
     ):
         status, _, err = call("compare", *words)
         assert status == 2 and says in err
-
-
-def test_what_has_no_joint_number_says_why() -> None:
-    other = answer()
-    for row in other["joint"]["parameters"].values():
-        row |= {"value": None, "sd": None, "status": "unestimated", "reason": "the segments do not agree"}
-    found = compare(answer(), other)
-    assert found.dof == 0 and "(the segments do not agree)" in found.sentence and len(found.missing) == 6

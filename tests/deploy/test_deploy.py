@@ -12,7 +12,7 @@ from loopback import TEXT
 from paths import ROOT
 
 from tilth.deploy import can_up
-from tilth.deploy.install import KERNELS, Failed, adapter_rule
+from tilth.deploy.install import KERNELS, Failed, _dbc_beside, adapter_rule
 
 INSTALLER = ROOT / "deploy" / "install.py"
 PYTHON = Path(sys.base_prefix) / "bin" / "python3"  # as on a bare computer, with pip
@@ -243,3 +243,45 @@ def test_the_bit_rate_is_the_machine_files() -> None:
     machine["bus"][1]["bitrate"] = 500_000  # type: ignore[assignment]
     assert can_up.bitrate_of("can0", machine) == 500_000
     assert can_up.bitrate_of("can1", machine) is None and can_up.bitrate_of("can0", {}) is None
+
+
+OUTSIDE = (
+    "../x.dbc", "../../cron.d/x", "a/x.dbc", "./x.dbc", "..", ".", "", ".hidden.dbc", "machine.toml",
+    "daemon.json", "a/../x.dbc", "link.dbc", "pipe.dbc", "folder.dbc", "none.dbc", "x.dbc/",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_machine_file_names_no_other_place_for_root_to_write(name: str, tmp_path: Path) -> None:
+    """Nor one to read: a link would bring what only root may see where others may."""
+    folder = tmp_path / "stick"
+    folder.mkdir()
+    for other in (folder / "x.dbc", tmp_path / "x.dbc", folder / "daemon.json", folder / ".hidden.dbc"):
+        other.write_text("VERSION")
+    (folder / "a").mkdir()
+    (folder / "a/x.dbc").write_text("VERSION")
+    (folder / "link.dbc").symlink_to(tmp_path / "x.dbc")
+    (folder / "folder.dbc").mkdir()
+    os.mkfifo(folder / "pipe.dbc")
+    machine = folder / "machine.toml"
+    machine.write_text(f'[machine]\nname = "rig"\n[wheel_angle]\ndbc = "{name}"\nsignal = "angle"\n')
+    result = Box(tmp_path, tmp_path).setup("install", tmp_path / "none.whl", "--machine", machine)
+    assert result.returncode == 1 and "beside the machine file" in result.stderr, result.stderr
+    assert not (tmp_path / "root").exists()
+
+
+def test_a_plain_name_beside_the_machine_file_goes_with_it(tmp_path: Path) -> None:
+    machine = tmp_path / "rig.toml"
+    (tmp_path / "wheel angle.dbc").write_text("VERSION")
+    for text, found in (
+        ('[wheel_angle]\ndbc = "wheel angle.dbc"', tmp_path / "wheel angle.dbc"),
+        ('[wheel_angle]\ndbc = "/usr/share/x.dbc"', None),  # the service's user reads it there
+        ("[wheel_angle]\ndbc = 3", None),  # the machine file is refused for it
+        ("wheel_angle = 3", None),
+        ("", None),
+    ):
+        machine.write_text(text)
+        assert _dbc_beside(machine) == found
+    machine.write_text("[wheel")
+    with pytest.raises(Failed, match=r"rig.toml: "):
+        _dbc_beside(machine)

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from email import message_from_bytes
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,27 @@ SHIPPED = {
 }  # fmt: skip
 
 
+def in_the_tree(name: str) -> str:
+    """Where a file of the wheel is in the checkout."""
+    return name.removeprefix("tilth/").replace("adaptive_guidance", "examples/adaptive_guidance")
+
+
+def test_the_licences_of_what_it_ships_are_in_the_wheel(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as content:
+        (record,) = (name for name in content.namelist() if name.endswith(".dist-info/METADATA"))
+        metadata = message_from_bytes(content.read(record))
+        found = {
+            name: content.read(f"{record.rpartition('/')[0]}/licenses/{name}").decode()
+            for name in metadata.get_all("License-File", [])
+        }
+    assert metadata["License-Expression"] == "Apache-2.0 AND MIT"
+    assert "Leon Sorokin" in found["monitor/page/uplot/LICENSE"] and "Apache License" in found["LICENSE"]
+    # What is none of ours stands in a folder of its own, with its licence, and in NOTICE.
+    for licence in (path for folder in FOLDERS for path in (ROOT / folder).rglob("*LICEN*")):
+        place = str(licence.relative_to(ROOT))
+        assert place in found and place in found["NOTICE"]
+
+
 def test_the_wheel_is_complete(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     tree = {
@@ -32,6 +54,9 @@ def test_the_wheel_is_complete(wheel: Path) -> None:
     }
     assert tree - names == set()
     assert not [name for name in names if "studies" in name or "dissertation/" in name]
+    assert {name for name in names if not (ROOT / in_the_tree(name)).exists()} == {
+        name for name in names if ".dist-info/" in name
+    }
     assert {name for name in names if name.startswith("tilth/schemas/proto/")} >= {
         "tilth/schemas/proto/tilth.proto"
     }

@@ -241,3 +241,70 @@ def test_it_is_a_command_too(words: list[str], status: int, expected: str) -> No
     assert (
         done.returncode == status and done.stderr.startswith(expected) and bool(done.stderr) == bool(expected)
     )
+
+
+LOOSENED: dict[str, Callable[[Path], object]] = {
+    "the folder": lambda folder: folder.chmod(0o777),
+    "to its group": lambda folder: folder.chmod(0o775),
+    "a folder above": lambda folder: folder.parent.chmod(0o757),
+    "a folder in it": lambda folder: (folder / "pose_1a").chmod(0o777),
+    "a file in it": lambda folder: (folder / "pose_1a/pose.nbi").chmod(0o666),
+}
+
+
+@pytest.fixture
+def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache" / "kernels"
+    (folder / "pose_1a").mkdir(parents=True)
+    (folder / "pose_1a/pose.nbi").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    return folder
+
+
+def test_a_folder_of_ones_own_is_trusted(kernels: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiling.untrusted() == ""
+    kernels.parent.chmod(0o1777)  # sticky, as /tmp
+    (kernels / "link").symlink_to("/dev/null")
+    assert compiling.untrusted() == ""
+    for other in (str(kernels / "none"), ""):
+        monkeypatch.setenv("NUMBA_CACHE_DIR", other)
+        assert compiling.untrusted() == ""
+
+
+@pytest.mark.parametrize("what", LOOSENED)
+def test_one_that_others_may_write_is_not(what: str, kernels: Path) -> None:
+    LOOSENED[what](kernels)
+    assert "can be written by others" in compiling.untrusted()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+@pytest.mark.parametrize("place", [".", "..", "pose_1a", "pose_1a/pose.nbi"])
+def test_nor_one_that_belongs_to_another(place: str, kernels: Path) -> None:
+    os.chown(kernels / place, 12345, 0)
+    assert "can be written by others" in compiling.untrusted()
+
+
+ELSEWHERE = """
+import os, time
+from logs import MACHINE
+from tilth.logger.preparing import Preparing
+said = []
+preparing = Preparing(MACHINE, lambda kind, text: said.append(text))
+deadline = time.monotonic() + 120.0
+while preparing._process is None and time.monotonic() < deadline:
+    time.sleep(0.02)
+print(said[0], os.environ["NUMBA_CACHE_DIR"], preparing.text, sep="\\n")
+preparing.close()
+"""
+
+
+def test_the_recorder_takes_nothing_from_there(kernels: Path, tmp_path: Path) -> None:
+    kernels.chmod(0o777)
+    path = {"PYTHONPATH": ":".join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE], env=os.environ | path, capture_output=True, text=True, check=True
+    )
+    said, folder, text = done.stdout.splitlines()
+    assert "can be written by others" in said and not folder.startswith(str(tmp_path)), done.stdout
+    assert text.startswith("compiling kernels, which cannot be kept")
+    assert [one.name for one in kernels.rglob("*")] == ["pose_1a", "pose.nbi"]

@@ -14,11 +14,12 @@ from field_rig import FieldRig
 from loopback import PATIENCE_S, free_port, records_of, rig, session, udp_bus, until
 from turned import turning
 
-from tilth.cli.background import FIRST_TO_END, NICE
+from tilth.cli.background import FIRST_TO_END
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.log.derived import REPORTS as FOLDER
 from tilth.logger.log.recovery import finish
+from tilth.logger.priority import REPORTS
 from tilth.logger.run_report import BUSY
 from tilth.schemas.invocation import started_as
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -208,4 +209,4 @@ def test_it_stands_behind_all_else() -> None:
     said = subprocess.run(
         [sys.executable, "-P", "-c", show], capture_output=True, text=True, check=True
     ).stdout
-    assert said.split() == [str(NICE), FIRST_TO_END]
+    assert said.split() == [str(REPORTS), FIRST_TO_END]

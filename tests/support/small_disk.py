@@ -1,4 +1,4 @@
-"""Commands on a real small disk: a tmpfs in a mount namespace of their own.
+"""Commands on a real small disk, or on a read-only one: mounted in a namespace of their own.
 
 As a script, within that namespace: small_disk.py FOLDER SIZE WORD…: mounts it, runs the words, prints JSON.
 """
@@ -12,6 +12,7 @@ from typing import Final
 
 import pytest
 
+READ_ONLY: Final = "read-only"
 TILTH: Final = (sys.executable, "-c", "import sys; from tilth.cli import main; sys.exit(main(sys.argv[1:]))")
 
 
@@ -24,7 +25,8 @@ class OnSmallDisk:
 
 
 def on_a_small_disk(folder: Path, size: str, *words: str | Path) -> OnSmallDisk:
-    """size: as of mount. What the folder held before is out of sight. Skips where nobody may mount."""
+    """size: as of mount; what the folder held before is out of sight then. READ_ONLY: the folder as it is,
+    and nobody can write it. Skips where nobody may mount."""
     within = ["unshare", "--user", "--map-root-user", "--mount", sys.executable, __file__]
     try:
         done = subprocess.run(
@@ -39,7 +41,11 @@ def on_a_small_disk(folder: Path, size: str, *words: str | Path) -> OnSmallDisk:
 
 
 def _within(folder: Path, size: str, words: list[str]) -> None:
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "disk", str(folder)], check=True)
+    if size == READ_ONLY:
+        subprocess.run(["mount", "--bind", str(folder), str(folder)], check=True)
+        subprocess.run(["mount", "-o", "remount,bind,ro", str(folder)], check=True)
+    else:
+        subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "disk", str(folder)], check=True)
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     left = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     answer = {"status": done.returncode, "out": done.stdout, "err": done.stderr, "left": left}

@@ -39,3 +39,11 @@ def test_what_only_one_gives_is_named() -> None:
     assert found.missing == ("sigma_i",) and found.dof == 5
     with pytest.raises(NotComparable, match="the second has no joint estimate"):
         compare(answer(), {"runs": [], "joint": None})
+
+
+def test_what_has_no_joint_number_says_why() -> None:
+    other = answer()
+    for row in other["joint"]["parameters"].values():
+        row |= {"value": None, "sd": None, "status": "unestimated", "reason": "the segments do not agree"}
+    found = compare(answer(), other)
+    assert found.dof == 0 and "(the segments do not agree)" in found.sentence and len(found.missing) == 6

@@ -1,5 +1,7 @@
 """Batches: the same with any number of processes, and after an interruption."""
 
+import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,26 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: py
     assert already == 0
     _same(went_on, whole)
     assert not list(tmp_path.rglob("*.unfinished"))
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "cut": lambda stored: stored[: len(stored) // 2],
+    "flipped": lambda stored: stored[:300] + bytes([stored[300] ^ 1]) + stored[301:],
+    "zeros": lambda stored: bytes(len(stored)),
+    "empty": lambda stored: b"",
+    "of others": lambda stored: pickle.dumps([1, 2]),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_a_damaged_batch_is_made_again(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 50 * 128)
+    whole, _ = run(PLAN, tmp_path, here(1))
+    path = next(tmp_path.rglob("0.npz"))
+    path.write_bytes(DAMAGE[what](path.read_bytes()))
+    again, already = run(PLAN, tmp_path, here(1))
+    assert already == 1
+    _same(again, whole)
 
 
 def test_the_answer_is_the_mean_of_the_local_ones() -> None:

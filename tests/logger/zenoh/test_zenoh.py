@@ -2,7 +2,7 @@
 
 import json
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -11,6 +11,7 @@ import pytest
 import zenoh
 from loopback import PATIENCE_S, START_NS, answers, free_port, rig, session, udp_bus
 
+from tilth.cli import main
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.zenoh.open_network import is_local, ways_in
@@ -138,6 +139,71 @@ def test_a_taken_port_is_said_and_another_used(machine: Machine) -> None:
     second.close()
     first.close()
     assert try_session(machine) == ""
+
+
+def named(machine: Machine, name: str) -> Machine:
+    return machine.model_copy(update={"machine": machine.machine.model_copy(update={"name": name})})
+
+
+def test_two_machines_on_one_computer_are_both_heard_and_told_apart(
+    machine: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, text = rig(tmp_path, udp_bus("can0", 1))
+    endpoint = machine.zenoh.listen[0]
+    got: list[tuple[str, str]] = []
+
+    def taking(name: str) -> dict[str, Callable[[zenoh.Query, str], None]]:
+        def take(query: zenoh.Query, client: str) -> None:
+            assert query.payload is not None
+            got.append((name, query.payload.to_string()))
+            event = pb.Event(t_ns=1, text=query.payload.to_string())
+            query.reply(query.key_expr, event.SerializeToString())
+
+        return {"mark": take}
+
+    first = ZenohSink(named(machine, "one"), answers=taking("one"))
+    assert main(["mark", "alone", "--endpoint", endpoint]) == 0
+    assert "marked: alone (in the log of one)" in capsys.readouterr().out
+    second = ZenohSink(named(machine, "two"), answers=taking("two"))
+    try:
+        assert f"{endpoint} is taken by another program, by tilth/one;" in second.note
+        assert "--machine" in second.note
+        assert main(["mark", "whose", "--endpoint", endpoint]) == 2
+        assert "several daemons are heard: one, two; say with --machine" in capsys.readouterr().err
+        for name in ("one", "two"):
+            file = tmp_path / f"{name}.toml"
+            file.write_text(text.replace('name = "jd7930-parker500"', f'name = "{name}"'))
+            assert main(["mark", "a stone", "--endpoint", endpoint, "--machine", str(file)]) == 0
+            assert f"marked: a stone (in the log of {name})" in capsys.readouterr().out
+        assert got == [("one", "alone"), ("one", "a stone"), ("two", "a stone")]
+    finally:
+        second.close()
+        first.close()
+
+
+def test_a_second_run_of_the_same_machine_stays_apart(machine: Machine) -> None:
+    """Both would speak on the same keys."""
+    first, second = ZenohSink(machine), ZenohSink(machine)
+    try:
+        assert f"by {BASE}; listening on" in second.note and "end one" in second.note
+        assert f"--endpoint {second.endpoints[0]}" in second.note
+        first.put("/soil_tire", b"first")
+        second.put("/soil_tire", b"second")
+        with session(first.endpoints) as other:
+            assert answers(other, f"{BASE}/soil_tire")[f"{BASE}/soil_tire"][0] == b"first"
+    finally:
+        second.close()
+        first.close()
+
+
+def test_a_port_that_another_kind_of_program_has_costs_no_more_than_a_moment(machine: Machine) -> None:
+    with socket.socket() as other:
+        host, _, port = machine.zenoh.listen[0].removeprefix("tcp/").rpartition(":")
+        other.bind((host, int(port)))
+        other.listen()
+        sink = ZenohSink(machine)
+    assert "is taken by another program; listening on" in sink.note
+    sink.close()
 
 
 def problems(machine: Machine, folder: Path) -> list[str]:
