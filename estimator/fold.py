@@ -171,12 +171,15 @@ def step(state: State, frame: Frame) -> list[Publication]:
     state.segments.clear()
     state.frames += 1
     jump_ns = log_time.take_stamp(state.time, frame)
+    frame = log_time.on_log_clock(state.time, frame)
+    _publish_news(state, out)
     if jump_ns is None:  # a stray frame: only address claims are taken from it, no measurement
-        state.decoder.measurements(frame)
+        now_ns = state.latest_ns
+        state.decoder.measurements(replace(frame, t_ns=now_ns, rx_ns=now_ns))
         return out
-    if jump_ns < 0:
+    if jump_ns < 0 or (jump_ns > 0 and state.time.misled):
         _clock_stepped(state, frame.t_ns, jump_ns, out)
-    elif jump_ns > 0:
+    elif jump_ns >= log_time.SILENCE_NS:
         text = f"no frame for {jump_ns * 1e-9:.1f} s"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
     now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
@@ -188,6 +191,13 @@ def step(state: State, frame: Frame) -> list[Publication]:
         for pose in poses(state.aligner, now_ns):
             _publish_pose(state, frame.t_ns, pose, out)
     return out
+
+
+def _publish_news(state: State, out: list[Publication]) -> None:
+    """Report what the log's time has found."""
+    for kind, text in state.time.news:
+        out.append(Publication(state.latest_ns, "/event", Event(state.latest_ns, kind, text)))
+    state.time.news.clear()
 
 
 def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
@@ -405,8 +415,7 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
 
 def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) -> None:
     """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
-    stays."""
-    state.clock_steps += 1
+    stays. Also where the log's first stamps were wrong."""
     state.aligner = aligner.initial(state.machine)
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     _exclude_smoothed_turn_rates(state)
@@ -417,5 +426,8 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     state.previous_run_ns += by_ns
     for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], by_ns)
+    if state.time.misled:  # which is reported as what it is
+        return
+    state.clock_steps += 1
     text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"
     out.append(Publication(t_ns, "/event", Event(t_ns, "clock_step", text)))

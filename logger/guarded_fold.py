@@ -22,6 +22,7 @@ from tilth.estimator.fold import (
     step,
 )
 from tilth.estimator.methods import consistency
+from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
@@ -148,12 +149,14 @@ class GuardedFold:
         if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
             return []
         try:
-            publications = self._adopt(frame.t_ns) if self._decided else []
+            publications = []
+            if self._decided and log_time.continues(self.state.time, frame):
+                publications = self._adopt(log_time.on_log_clock(self.state.time, frame).t_ns)
             poses = self.state.poses
             publications += step(self.state, frame)
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
-            publications += self.decided(frame.t_ns)
+            publications += self.decided(self.state.latest_ns)
             encoded = [(publication, payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)

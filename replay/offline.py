@@ -32,7 +32,7 @@ INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC})
 WITH_RESULTS = IDENTICAL | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
-    {"fault", "clock_step", *receiver_checks.KINDS}
+    {"fault", "clock_step", "other_clock", *receiver_checks.KINDS}
 )  # kinds of events that are printed in a replay
 
 
@@ -61,6 +61,7 @@ class ReplaySummary:
     events: list[Event] = field(default_factory=list)
     flags: dict[str, Flagged] = field(default_factory=dict)
     unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
+    left_out: list[str] = field(default_factory=list)  # of rejected["other_time"]: whose frames, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +152,7 @@ class _Run:
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
         self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
+        self._left_out: list[str] = []  # of the folds before
         self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
         self.fitter = ReplayedFits(machine, lambda kind, text: say(text))
         self._fold = GuardedFold(machine, fitter=self.fitter)
@@ -277,6 +279,7 @@ class _Run:
 
     def _start_anew(self, t_ns: int) -> None:
         self._anew = False
+        self._left_out += log_time.sentences(self._fold.state.time)
         self.fitter.forget()
         fold = GuardedFold(self._machine, fitter=self.fitter)
         self._go_on_with(fold, t_ns, fold.renew())
@@ -339,6 +342,7 @@ class _Run:
         self._unknown.subtract(self._unknown_before)
         self._unknown_before = self._unknown_now()
         self.summary.unknown = {self._origins[key]: n for key, n in self._unknown.most_common() if n > 0}
+        self.summary.left_out = self._left_out + log_time.sentences(self._fold.state.time)
         self.summary.measurements = self._counts["measurements", ""]
         self.summary.poses = self._counts["poses", ""]
         for (kind, reason), count in self._counts.items():

@@ -22,12 +22,12 @@ def times(until_s: float, each_s: float, from_s: float = 0.0) -> list[float]:
 
 
 def moves(stamps: Iterable[tuple[float, str]]) -> tuple[list[float], LogTime]:
-    """The jumps, s, that frames with these stamps cause."""
+    """The jumps, s, that frames with these stamps cause; but for that from a wrong beginning."""
     time, jumps = LogTime(), []
     for at, bus in stamps:
         t_ns = round((START + at) * 1e9)
         jump_ns = take_stamp(time, Frame(t_ns, t_ns, bus, 0, True, False, b""))
-        jumps += [jump_ns * 1e-9] if jump_ns else []
+        jumps += [jump_ns * 1e-9] if jump_ns and not time.misled else []
     return jumps, time
 
 
@@ -80,7 +80,9 @@ def test_two_clocks_in_one_log_are_no_steps(
     rows.sort()
     beginning = next(i for i, row in enumerate(rows) if (row[0] != row[1]) == bool(first))
     jumps, time = moves([(stamp, bus) for _, stamp, bus in rows[beginning:]])
-    assert [move for move in jumps if move < 0] == []
+    # A clock that came first and speaks less often gives way to the other, once.
+    few_first = beginning == 0 and each[first] > each[1 - first]
+    assert len([move for move in jumps if move < 0]) <= few_first
     assert len(jumps) <= 1  # that of the second clock is far ahead of the first: a silence, once
     assert passed(time) == pytest.approx(62.6, abs=apart + 1.5 if apart < 10 else 3.0)
 
@@ -142,7 +144,10 @@ def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
     )
     alone, among = initial(machine), initial(machine)
     out = [p for f in given for p in step(alone, f)]
-    assert [p for _, _, f in mixed for p in step(among, f)] == out
+    mixed_out = [p for _, _, f in mixed for p in step(among, f)]
+    told = [p.value for p in mixed_out if isinstance(p.value, Event) and p.value.kind == "other_time"]
+    assert [p for p in mixed_out if p.value not in told] == out
+    assert told[0].text == "1 frame of source 1 on can0 is stamped 7.5 s behind the rest: left out"
     assert among.rejected["other_time"] == len(late) and "clock_step" not in among.rejected
     assert alone.poses == among.poses > 20 and alone.rejected.get("other_time") is None
     assert not [p for p in out if isinstance(p.value, Event) and p.value.kind in ("gap", "clock_step")]
