@@ -230,6 +230,8 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
+    for kind, text in aligner.news(state.aligner):
+        _publish_event(state, t_ns, kind, text, out)
     _act_on_checks(state, t_ns, out)
     _watch(state, t_ns, pose, out)
     segment = record_builder.observe(state.record, state.aligner, pose)

@@ -179,6 +179,15 @@ def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> bool:
     return True
 
 
+def news(state: Aligner) -> list[tuple[str, str]]:
+    """(kind, text) of the events since the last call: how often receivers give positions."""
+    out = []
+    for mount, track in state.tracks.items():
+        out += [(kind, f"{mount} {text}") for kind, text in track.rate.news]
+        track.rate.news.clear()
+    return out
+
+
 def due(state: Aligner, now_ns: int) -> int | None:
     """The instant of the pose that is due at now_ns (Frame.rx_ns of the latest frame), or None."""
     if state.due_ns == 0 or now_ns < state.due_ns:

@@ -25,6 +25,8 @@ GAP_LASTS_NS: Final = 10_000_000_000  # in which the longest usual gap between t
 ESTABLISHED: Final = 16  # frames that agree on a time; fewer may be the exception themselves
 CERTAIN: Final = 24  # frames of two senders in excess of all others: no accident
 SLEW_NS: Final = 1_000_000  # by which one frame may change the alignment of a bus
+COARSE_NS: Final = 100_000_000  # steps of stamps that are all as long as this align nothing
+COARSE_AFTER: Final = 400  # frames
 DAY_NS: Final = 86_400_000_000_000
 
 
@@ -65,6 +67,8 @@ class LogTime:
     stray: int = 0  # stray frames: the log's time before and after them was another
     bus_ns: dict[str, int] = field(default_factory=dict)  # bus -> its greatest stamp since the last jump
     off_time: dict[str, OffTimeFrames] = field(default_factory=dict)  # by bus
+    coarse: bool = False  # which has been reported
+    step_ns: int = 0  # shortest time between two different stamps; 0 before there were two
     gap_ns: int = 0  # longest time between two frames lately
     in_time: int = 0  # frames at this time since the last jump
     first: dict[str, int] = field(default_factory=dict)  # sender -> frames, of the first ESTABLISHED
@@ -88,6 +92,8 @@ def take_stamp(time: LogTime, frame: Frame) -> int | None:
     t_ns, latest_ns = frame.t_ns, time.latest_ns
     if latest_ns:
         advance_ns = max(0, t_ns - latest_ns)
+        if advance_ns:
+            time.step_ns = min(time.step_ns or advance_ns, advance_ns)
         time.passed_ns += advance_ns
         kept_ns = time.gap_ns - time.gap_ns * min(advance_ns, GAP_LASTS_NS) // GAP_LASTS_NS
         time.gap_ns = max(min(advance_ns, SILENCE_NS), kept_ns)
@@ -161,6 +167,11 @@ def _support(time: LogTime, frame: Frame) -> None:
         sender = _sender(frame)
         time.first[sender] = time.first.get(sender, 0) + 1
     time.in_time += 1
+    if time.in_time % COARSE_AFTER == 0 and time.step_ns >= COARSE_NS and not time.coarse:
+        time.coarse = True
+        steps = "whole seconds" if time.step_ns % 1_000_000_000 == 0 else f"steps of {time.step_ns * 1e-9:g} s"
+        text = f"the stamps of the log are {steps}: what came within one cannot be told apart in time"
+        time.news.append(("coarse_stamps", f"{text}; record with finer ones"))
     if time.in_time == ESTABLISHED:
         time.begun = True
         time.first.clear()
@@ -314,6 +325,8 @@ def _accept_jump(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
         time.silent_ns += by_ns if silent else 0
     time.latest_ns = max(frame.t_ns, off_time.latest_ns)
     time.bus_ns = {frame.bus: time.latest_ns}
+    if by_ns > 0:
+        time.step_ns = min(time.step_ns or by_ns, by_ns)
     time.gap_ns = by_ns if 0 < by_ns < SILENCE_NS else 0
     time.in_time, time.begun = off_time.votes if off_time.votes >= ESTABLISHED else 1, True
     time.first.clear()
