@@ -101,6 +101,15 @@ def leave_out(state: Aligner, mounts: Collection[str]) -> None:
     state.last_heading = [None, None]
 
 
+def forget(state: Aligner, mounts: Collection[Mount]) -> None:
+    """What these receivers have sent was another's."""
+    for receiver in state.machine.receiver:
+        if receiver.mount in mounts:
+            state.tracks[receiver.mount.value] = _track(receiver)
+    state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
+    state.last_heading = [None, None]
+
+
 def _track(receiver: Receiver) -> Track:
     zero = 0.0 if receiver.roll_zero is None else math.radians(receiver.roll_zero.value)
     return Track(round(receiver.latency.value * 1e9), zero, receiver.roll_sign, receiver.yaw_rate_sign)
