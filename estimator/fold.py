@@ -247,12 +247,12 @@ def _recognise(
 
 
 def _doubt_addresses(state: State, t_ns: int, out: list[Publication]) -> None:
-    """Receivers whose address was not claimed stand in each other's place: look who they are."""
+    """Receivers that were taken to be where they were before do not fit the rig: look who they are."""
     mounts = state.decoder.addresses.displace()
     if mounts:
         aligner.forget(state.aligner, mounts)
         state.recognition = recognition.restart(state.recognition)
-        text = "receivers are not at the addresses that they had: they are looked for by where they are"
+        text = "receivers may not have the addresses that they had: they are looked for by where they are"
         _publish_event(state, t_ns, recognition.EVENT, text, out)
 
 
@@ -283,7 +283,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     for kind, text in flag_events(state.flags, pose.flags):
         out.append(Publication(t_ns, "/event", Event(t_ns, kind, text)))
     state.flags = pose.flags
-    if any(flag.kind == FlagKind.SWAPPED for flag in pose.flags):
+    if any(flag.kind in (FlagKind.SWAPPED, FlagKind.MOVED) for flag in pose.flags):
         _doubt_addresses(state, t_ns, out)
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg

@@ -5,6 +5,7 @@ Live and replay both drive this, so that a replay fails where the live run faile
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from tilth.estimator.fold import (
     RECOMMENDED,
@@ -16,6 +17,7 @@ from tilth.estimator.fold import (
     finish,
     initial,
     pending,
+    recall,
     request_fits,
     resume,
     save_learned,
@@ -43,6 +45,7 @@ from tilth.schemas.flow import (
     Publication,
     Status,
 )
+from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
@@ -143,6 +146,18 @@ class GuardedFold:
     def unknown(self) -> dict[Origin, int]:
         """Senders of the messages counted as "unknown_source", with their counts since the last fault."""
         return self.state.decoder.unknown
+
+    def recall(self, known: Sequence[KnownAddress]) -> None:
+        """Before the first frame: who had which address, as far as known from before."""
+        recall(self.state, known)
+
+    @property
+    def known_addresses(self) -> list[KnownAddress]:
+        """Who has which address now, with the time at which its bus was heard last."""
+        book, bus_ns = self.state.decoder.addresses, self.state.time.bus_ns
+        now = [replace(known, last_ns=bus_ns.get(known.bus, 0)) for known in book.known()]
+        held = {(known.bus, known.source) for known in now}
+        return now + [k for k in self.state.recognition.before if (k.bus, k.source) not in held]
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """The publications that a frame causes, each with its bytes as logged and published."""

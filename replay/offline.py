@@ -6,7 +6,7 @@ records of a log ─► fold ─► OUT.mcap, Zenoh, comparison with what was lo
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tilth.estimator.methods.estimators import ROW
@@ -20,14 +20,21 @@ from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers.any_log import open_log, place
 from tilth.replay.readers.log import EmptyLog, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
-from tilth.schemas.channels import ACCEPTED_TOPIC, FIT_TOPIC, READY_TOPIC, payload
+from tilth.schemas.channels import (
+    ACCEPTED_TOPIC,
+    ADDRESSES_TOPIC,
+    FIT_TOPIC,
+    READY_TOPIC,
+    decode_addresses,
+    payload,
+)
 from tilth.schemas.flow import Accepted, Estimate, Event, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
-INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC})
+INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, ADDRESSES_TOPIC})
 """What enters the fold besides frames and stored states."""
 WITH_RESULTS = IDENTICAL | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
@@ -205,6 +212,8 @@ class _Run:
                 self._ready(log, record)
             elif record.topic == ACCEPTED_TOPIC:
                 self._accept(record)
+            elif record.topic == ADDRESSES_TOPIC:
+                self._recall(record, buses)
             else:
                 if comparison is not None:
                     comparison.logged(record)
@@ -243,6 +252,14 @@ class _Run:
         self._fold.ready = ready.ready
         if self._outputs.writer is not None:
             self._outputs.writer.message(READY_TOPIC, record.t_ns, record.data)
+
+    def _recall(self, record: Logged, buses: Mapping[str, str]) -> None:
+        """Take who has which address from the head of a file, where no earlier part has told it."""
+        if self._outputs.writer is not None:
+            self._outputs.writer.message(ADDRESSES_TOPIC, record.t_ns, record.data)
+        if not self._fold.state.frames:
+            known = decode_addresses(record.data, self._sha256)
+            self._fold.recall([replace(one, bus=buses.get(one.bus, one.bus)) for one in known])
 
     def _accept(self, record: Logged) -> None:
         """Use a value that the operator accepted, as the daemon did."""
@@ -321,6 +338,7 @@ class _Run:
             return
         fold = GuardedFold(self._machine, fitter=self.fitter)
         fold.state.decoder, fold.ready = decoder, self._fold.ready
+        fold.state.recognition = self._fold.state.recognition
         self._go_on_with(fold, stored.t_ns, fold.renew())
 
     def _go_on_with(self, fold: GuardedFold, t_ns: int, state_json: str) -> None:

@@ -85,7 +85,7 @@ class KnownAddress:
     source: int
     name: int | None  # as claimed
     mount: Mount | None  # the receiver of the machine file that it is
-    last_ns: int = 0  # when its bus was last heard; 0: not known on this clock
+    last_ns: int = 0  # when its bus was last heard before; 0: not known on this clock
 
 
 @dataclass(slots=True)
@@ -164,8 +164,8 @@ class AddressBook:
         self._settle_due(book, bus, t_ns)
         if name not in book.twins:
             self._leave(book, bus, name, source, t_ns)
+            self._outdate(book, bus, name, source)
         book.left.pop(source, None)
-        self._outdate(book, bus, name, source)
         contested = None
         if source != NULL_ADDRESS:
             holder = book.holder.get(source)
@@ -277,15 +277,18 @@ class AddressBook:
         book = self._bus(known.bus)
         for at in [at for at, before in book.placed.items() if before.mount == known.mount]:
             del book.placed[at]
-        book.placed[known.source] = replace(known, last_ns=0)
+        book.placed[known.source] = known
         self._refresh_bus(known.bus)
 
     def recall(self, known: KnownAddress) -> bool:
         """Take it that an address is whose it was before, unless a claim says another thing. Whether it is a
         receiver's."""
         book = self._bus(known.bus)
-        mount = known.mount if known.name is None else self.mount_of(known.bus, known.name) or known.mount
-        if mount not in self._receivers or self._receivers[mount].bus != known.bus:
+        mount = known.mount
+        if known.name is not None:
+            mount = self.mount_of(known.bus, known.name) or mount
+        receiver = self._receivers.get(mount) if mount is not None else None
+        if mount is None or receiver is None or receiver.bus != known.bus:
             return False
         told = known.source in book.claimed or mount in book.known
         if not told:
@@ -293,11 +296,13 @@ class AddressBook:
         return not told
 
     def displace(self) -> list[Mount]:
-        """Forget what is known without a claim. Returns the receivers that stood there."""
+        """Forget what is only known from before. Returns the receivers that stood there."""
         out = []
         for bus, book in self._buses.items():
-            out += [known.mount for known in book.placed.values() if known.mount is not None]
-            book.placed.clear()
+            for source, known in list(book.placed.items()):
+                if known.last_ns and known.mount is not None:
+                    del book.placed[source]
+                    out.append(known.mount)
             self._refresh_bus(bus)
         return out
 
@@ -316,7 +321,7 @@ class AddressBook:
             for source in sorted({*book.holder, *book.placed}):
                 name, mount = self._who(book, bus, source)
                 if source not in book.contests:
-                    out.append(KnownAddress(bus, source, name, mount))
+                    out.append(KnownAddress(bus, source, None if name in book.twins else name, mount))
         return out
 
     def _unplaced(self) -> frozenset[Mount]:
@@ -441,7 +446,8 @@ def _dump_bus(book: _Bus) -> dict[str, Any]:
         "left": {str(at): [f"{left.name:016X}", left.to, left.at_ns, left.sure] for at, left in book.left.items()},
         "twins": [f"{name:016X}" for name in sorted(book.twins)],
         "placed": [
-            [known.source, known.name and f"{known.name:016X}", known.mount] for known in book.placed.values()
+            [known.source, known.name and f"{known.name:016X}", known.mount, known.last_ns]
+            for known in book.placed.values()
         ],
     }
 
@@ -461,7 +467,7 @@ def _load_bus(bus: str, state: Mapping[str, Any]) -> _Bus:
         {int(at): _Left(int(row[0], 16), *row[1:]) for at, row in state.get("left", {}).items()},
         {int(name, 16) for name in state.get("twins", ())},
         {
-            source: KnownAddress(bus, source, name and int(name, 16), mount and Mount(mount))
-            for source, name, mount in state.get("placed", ())
+            source: KnownAddress(bus, source, name and int(name, 16), mount and Mount(mount), last_ns)
+            for source, name, mount, last_ns in state.get("placed", ())
         },
     )
