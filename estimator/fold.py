@@ -219,10 +219,10 @@ def _recall_addresses(state: State, frame: Frame, out: list[Publication]) -> Non
     """With the first frame of a bus: use what was known of it, if its devices have not been switched off."""
     sure = recognition.first_of_bus(state.recognition, state.machine, frame.bus, frame.t_ns)
     book = state.decoder.addresses
-    used = [known for known in sure if book.recall(known)]
+    used = [(mount, known) for known in sure if (mount := book.recall(known)) is not None]
     if used:
-        where = ", ".join(f"{known.mount} at address {known.source}" for known in used)
-        ago_s = (frame.t_ns - used[0].last_ns) * 1e-9
+        where = ", ".join(f"{mount} at address {known.source}" for mount, known in used)
+        ago_s = (frame.t_ns - used[0][1].last_ns) * 1e-9
         text = f"{frame.bus} was silent for {ago_s:.0f} s: receivers have the addresses that they had: {where}"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, recognition.EVENT, text)))
 

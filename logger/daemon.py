@@ -77,13 +77,13 @@ class Daemon:
         counts = LoopCounts(started_ns=clock.t_ns())
         buses = Buses(machine.bus, clock, self._report, opener)
         self._keeping = Keeping(folder, machine, fold, clock, self._report) if keep else None
-        self._addresses = AddressMemory(
-            folder, machine, machine_sha256(machine, machine_text), fold, clock, self._report
-        )
+        sha256 = machine_sha256(machine, machine_text)
+        self._addresses = AddressMemory(folder, machine, sha256, fold, clock, self._report) if keep else None
         warmed = False
         if self._keeping is not None and not fresh:
             warmed = self._keeping.take_up(counts.started_ns)
-        warmed |= self._addresses.take_up()
+        if self._addresses is not None:
+            warmed |= self._addresses.take_up()
         recording = Recording(
             folder, machine, machine_text, clock, self._report, fold.renew,
             addresses=lambda: fold.known_addresses, with_state=warmed, note=note,
@@ -183,7 +183,8 @@ class Daemon:
         parts.estimation.start_worker()
         if self._keeping is not None and self._keeping.is_due(t_ns):
             self._keeping.keep(t_ns, parts.outlets.recording)
-        self._addresses.turn(t_ns, parts.outlets.recording)
+        if self._addresses is not None:
+            self._addresses.turn(t_ns, parts.outlets.recording)
         self._status = build_status(parts, t_ns)
         parts.outlets.put("/status", t_ns, CHANNEL["/status"].encode(self._status))
         parts.supervisor.status(plain_line(self._status, parts.estimation.fold.estimates[RECOMMENDED]))

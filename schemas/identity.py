@@ -275,25 +275,26 @@ class AddressBook:
         """Take it that an address is a receiver's, until a claim says another thing; in place of where that
         receiver was placed before."""
         book = self._bus(known.bus)
-        for at in [at for at, before in book.placed.items() if before.mount == known.mount]:
-            del book.placed[at]
+        for at, before in list(book.placed.items()):
+            if known.mount is not None and before.mount == known.mount:
+                del book.placed[at]
         book.placed[known.source] = known
         self._refresh_bus(known.bus)
 
-    def recall(self, known: KnownAddress) -> bool:
-        """Take it that an address is whose it was before, unless a claim says another thing. Whether it is a
-        receiver's."""
+    def recall(self, known: KnownAddress) -> Mount | None:
+        """Take it that an address is whose it was before, unless a claim says another thing. Returns the
+        receiver that it is, if any."""
         book = self._bus(known.bus)
         mount = known.mount
         if known.name is not None:
             mount = self.mount_of(known.bus, known.name) or mount
         receiver = self._receivers.get(mount) if mount is not None else None
-        if mount is None or receiver is None or receiver.bus != known.bus:
-            return False
-        told = known.source in book.claimed or mount in book.known
-        if not told:
-            self.place(replace(known, mount=mount))
-        return not told
+        if receiver is None or receiver.bus != known.bus:
+            mount = None
+        if known.source in book.claimed or mount in book.known or (mount is None and known.name is None):
+            return None
+        self.place(replace(known, mount=mount))
+        return mount
 
     def displace(self) -> list[Mount]:
         """Forget what is only known from before. Returns the receivers that stood there."""
@@ -311,7 +312,7 @@ class AddressBook:
         if sender.origin.mount is not None or not self.unplaced:
             return False
         book = self._bus(sender.bus)
-        name = book.holder.get(sender.source)
+        name = self._who(book, sender.bus, sender.source)[0]
         return sender.source not in book.contests and (name is None or name in book.twins)
 
     def known(self) -> list[KnownAddress]:
