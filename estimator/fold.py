@@ -223,7 +223,9 @@ def _recall_addresses(state: State, frame: Frame, out: list[Publication]) -> Non
     if used:
         where = ", ".join(f"{mount} at address {known.source}" for mount, known in used)
         ago_s = (frame.t_ns - used[0][1].last_ns) * 1e-9
-        text = f"{frame.bus} was silent for {ago_s:.0f} s: receivers have the addresses that they had: {where}"
+        text = (
+            f"{frame.bus} was silent for {ago_s:.0f} s: receivers have the addresses that they had: {where}"
+        )
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, recognition.EVENT, text)))
 
 

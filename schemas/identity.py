@@ -150,6 +150,11 @@ class AddressBook:
         """Counts of measurement messages from senders that are no receiver of the machine file."""
         return {s.origin: s.unknown for s in self._senders.values() if s.unknown}
 
+    @property
+    def twins(self) -> frozenset[tuple[str, int]]:
+        """(bus, NAME) of the NAMEs that two devices have."""
+        return frozenset((bus, name) for bus, book in self._buses.items() for name in book.twins)
+
     def mount_of(self, bus: str, name: int) -> Mount | None:
         """The receiver of the machine file with that NAME, if it is one device's."""
         if name in self._bus(bus).twins:
@@ -444,7 +449,9 @@ def _dump_bus(book: _Bus) -> dict[str, Any]:
         "ours": sorted(book.ours),
         "adopted": {f"{name:016X}": mount.value for name, mount in book.adopted.items()},
         "known": sorted(mount.value for mount in book.known),
-        "left": {str(at): [f"{left.name:016X}", left.to, left.at_ns, left.sure] for at, left in book.left.items()},
+        "left": {
+            str(at): [f"{left.name:016X}", left.to, left.at_ns, left.sure] for at, left in book.left.items()
+        },
         "twins": [f"{name:016X}" for name in sorted(book.twins)],
         "placed": [
             [known.source, known.name and f"{known.name:016X}", known.mount, known.last_ns]

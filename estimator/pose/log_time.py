@@ -169,7 +169,9 @@ def _support(time: LogTime, frame: Frame) -> None:
     time.in_time += 1
     if time.in_time % COARSE_AFTER == 0 and time.step_ns >= COARSE_NS and not time.coarse:
         time.coarse = True
-        steps = "whole seconds" if time.step_ns % 1_000_000_000 == 0 else f"steps of {time.step_ns * 1e-9:g} s"
+        steps = (
+            "whole seconds" if time.step_ns % 1_000_000_000 == 0 else f"steps of {time.step_ns * 1e-9:g} s"
+        )
         text = f"the stamps of the log are {steps}: what came within one cannot be told apart in time"
         time.news.append(("coarse_stamps", f"{text}; record with finer ones"))
     if time.in_time == ESTABLISHED:
@@ -330,7 +332,9 @@ def _accept_jump(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
     time.gap_ns = by_ns if 0 < by_ns < SILENCE_NS else 0
     time.in_time, time.begun = off_time.votes if off_time.votes >= ESTABLISHED else 1, True
     time.first.clear()
-    for bus, other in list(time.off_time.items()):  # they were not stray: they were the first with the new time
+    for bus, other in list(
+        time.off_time.items()
+    ):  # they were not stray: they were the first with the new time
         if other is off_time or abs(other.latest_ns - time.latest_ns) <= OUT_OF_ORDER_NS:
             time.stray -= sum(strays.frames for strays in other.strays.values())
             del time.off_time[bus]

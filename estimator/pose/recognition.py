@@ -233,7 +233,10 @@ def _compare(
     reported = aligner.direction if abs(t_ns - aligner.direction_ns) < REPORTED_NS else 0
     turned = t_ns - state.turn_ns >= TURN_NS
     in_time = t_ns - state.turn_ns <= 2 * TURN_NS
-    wheel = [sample_at(aligner.wheel, at, WHEEL_HOLD_NS) for at in (state.turn_ns, (state.turn_ns + t_ns) // 2, t_ns)]
+    wheel = [
+        sample_at(aligner.wheel, at, WHEEL_HOLD_NS)
+        for at in (state.turn_ns, (state.turn_ns + t_ns) // 2, t_ns)
+    ]
     angles = [sample[0] for sample in wheel if sample is not None]
     for one in state.assignments:
         at = {m: points[i] for m, i in zip(state.mounts, one.slots, strict=True) if i >= 0} | fixed
@@ -248,7 +251,12 @@ def _compare(
         one.likelihood -= AGAINST if ahead * reported < 0 else 0.0
         if not turned:
             continue
-        if one.turn is not None and in_time and len(angles) == len(wheel) and _pair(at, plausibility.PAIRS[0]):
+        if (
+            one.turn is not None
+            and in_time
+            and len(angles) == len(wheel)
+            and _pair(at, plausibility.PAIRS[0])
+        ):
             length = machine.tractor.a.value + machine.tractor.b.value
             expected = (one.forward - one.turn[1]) * math.tan(sum(angles) / len(angles)) / length
             error = wrap(heading - one.turn[0] - expected)
@@ -283,7 +291,8 @@ def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], s
     if state.travel < TRAVEL or not state.assignments:
         return [], ""
     scores = sorted(
-        ((one.likelihood + _forwards(one), index) for index, one in enumerate(state.assignments)), reverse=True
+        ((one.likelihood + _forwards(one), index) for index, one in enumerate(state.assignments)),
+        reverse=True,
     )
     best = state.assignments[scores[0][1]]
     speed_smear = plausibility.SMEAR * LATENCY_SD * state.travel / max(state.compared, 1) / (STEP_NS * 1e-9)
@@ -296,7 +305,10 @@ def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], s
     places = ", ".join(f"{source} on {bus}" for bus, source in state.candidates)
     why = "more than one assignment fits the rig" if fits else "none of their assignments fits the rig"
     advice = "give them by source in the machine file, or switch them off and on"
-    return [], f"no address claim was heard, and positions from addresses {places} tell nothing: {why}; {advice}"
+    return (
+        [],
+        f"no address claim was heard, and positions from addresses {places} tell nothing: {why}; {advice}",
+    )
 
 
 def _forwards(one: Assignment) -> float:

@@ -285,9 +285,7 @@ class Recording:
             return
         file.writer.clocks(self._clock, ClockReason.NEW_FILE if run.part > 1 else ClockReason.START)
         if known := self._addresses():
-            data = encode_addresses(
-                self._now_ns, known, machine_sha256(self._machine, self._machine_text)
-            )
+            data = encode_addresses(self._now_ns, known, machine_sha256(self._machine, self._machine_text))
             file.writer.message(ADDRESSES_TOPIC, self._now_ns, data)
         if with_state:
             file.writer.snapshot(self._now_ns, self._renew())
