@@ -1,8 +1,8 @@
-"""`<log folder>/<machine>.addresses.json`: who has which address of which bus, for a daemon that is restarted.
+"""`<log folder>/<machine>.addresses.json`: who has which address of which bus, for the next run.
 
 Devices claim their address when they are switched on. A daemon that begins later, or again, has not heard it.
-The file tells the next run, and when each bus was heard last: by that a run knows whether the devices have been
-switched off since. It counts on the clock of this start of the computer; after another start nobody knows how
+The file tells it, and when each bus was heard last: by that a run knows whether the devices have been
+switched off since. Times are on the clock of this start of the computer; after another start nobody knows how
 long it was off, and what is kept is an assumption.
 """
 

@@ -156,8 +156,10 @@ def encode_addresses(t_ns: int, known: Iterable[KnownAddress], machine_sha256: s
 
 
 def decode_addresses(data: bytes, machine_sha256: str) -> list[KnownAddress]:
-    """What `encode_addresses` wrote; with another machine file only the NAMEs count. Raises what protobuf raises
-    for other bytes, ValueError for a mount that is not known."""
+    """What `encode_addresses` wrote; with another machine file only the NAMEs count.
+
+    Raises what protobuf raises for other bytes, ValueError for a mount that is not known.
+    """
     message = pb.Addresses.FromString(data)
     same = message.machine_sha256 == machine_sha256
     return [

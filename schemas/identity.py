@@ -12,10 +12,10 @@ Rules, per bus:
   lately; else it is gone and the challenger has it.
 - A claim from 254 says "cannot claim": the NAME has no address.
 - A receiver given by `source` alone takes the NAME of the first fitting claim for that address, and keeps it.
-- Where an address goes on speaking after its NAME has gone elsewhere, two devices have that NAME. It identifies
-  neither: a receiver given by `source` stays with its address.
-- Devices claim when they are switched on, not when we begin to listen. Who stands where may be known otherwise
-  (`place`): from before, or by where they are. It holds until a claim says another thing.
+- Where an address goes on speaking after its NAME has gone elsewhere, two devices have that NAME. It
+  identifies neither: a receiver given by `source` stays with its address.
+- Devices claim when they are switched on, not when we begin to listen. Who stands where may be known
+  otherwise (`place`): from before, or by where they are. It holds until a claim says another thing.
 """
 
 from collections.abc import Mapping, Sequence

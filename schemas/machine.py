@@ -142,8 +142,8 @@ class Bus(_Section):
     )
     request_claims: bool = Field(
         default=False,
-        description="send one frame when the bus is opened that asks all devices for their NAMEs (PGN 59904 for "
-        "60928); else nothing is ever sent",
+        description="when the bus is opened, send one frame that asks all devices for their NAMEs (PGN 59904 "
+        "for 60928); else nothing is ever sent",
     )
 
     @model_validator(mode="after")

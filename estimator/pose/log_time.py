@@ -1,7 +1,8 @@
 """The time of a log, from the stamps of its frames: does it continue, was there a silence, did it step back?
 
-The many decide. A frame whose stamp is away from the log's time is called stray: it does not change that time,
-is not used and is counted with its sender. The log's time jumps only when those frames outnumber the others.
+The many decide. A frame whose stamp is away from the log's time is called stray: it does not change that
+time, is not used and is counted with its sender. The log's time jumps only when such frames outnumber the
+others.
 
 Each of several buses may have a clock of its own. If the stamps of one stay away from the log's time by the
 same amount while others go on, they are aligned by the order of the frames in the log. Where the order is not

@@ -46,8 +46,8 @@ def _judge(state: PositionRate) -> None:
     if new and state.repeats > REPEATED_SHARE * state.positions:
         _tell(
             state, REPEATED,
-            f"sends each position {state.positions / new:.0f} times: {per_s:.1f} a second are new, the others "
-            "are left out; set its output rate to that of its positions",
+            f"sends each position {state.positions / new:.0f} times: {per_s:.1f} a second are new, the "
+            "others are left out; set its output rate to that of its positions",
         )  # fmt: skip
     elif new and state.passed_ns and per_s < LEAST_PER_S:
         _tell(state, SLOW, f"gives only {per_s:.1f} positions a second; set it to 5 or more")

@@ -1,15 +1,15 @@
-"""Which address is whose, where no address claim was heard: by what is known from before, and by where they are.
+"""Which address is whose, where no address claim was heard: by what was known before, and by where they are.
 
 Devices claim their address when they are switched on. A program that begins to listen later, or is restarted
-while driving, hears no claim. What it knew before holds for as long as the devices have not been switched off;
-after that, receivers that are alike may have exchanged addresses. Then nothing is taken for granted: every
-assignment of the addresses that send positions to the receivers of the machine file is compared with the rig
-over some metres of travel, and the first pose waits for it.
+while driving, hears no claim. What it knew before holds for as long as the devices have not been switched
+off; after that, receivers that are alike may have exchanged addresses. Then nothing is taken for granted:
+every assignment of the addresses that send positions to the receivers of the machine file is compared with
+the rig over some metres of travel, and the first pose waits for it.
 
-Each assignment has a log-likelihood: of both pairs' lengths and the gap at the hitch, of the turn rate that the
-wheel angle makes, and of the direction that the vehicle reports. A rig that is seen in reverse, front for rear
-and tractor for implement, has almost the same lengths: only steering, the vehicle's direction or a long way
-tell it apart.
+Each assignment has a log-likelihood: of both pairs' lengths and the gap at the hitch, of the turn rate that
+the wheel angle makes, and of the direction that the vehicle reports. A rig that is seen in reverse, front for
+rear and tractor for implement, has almost the same lengths: only steering, the vehicle's direction or a long
+way tell it apart.
 """
 
 import math
@@ -198,11 +198,11 @@ def _begin(state: Recognition, machine: Machine, candidates: list[Place], mounts
 
 def _before(state: Recognition, machine: Machine) -> dict[Mount, int]:
     """Receiver -> index of the candidate that it was before."""
-    by_name = {(r.bus, r.name): r.mount for r in machine.receiver if r.name is not None}
+    by_name = {(r.bus, r.name): r.mount for r in machine.receiver}
     expected = {}
     for known in state.before:
-        mount = by_name.get((known.bus, known.name), known.mount)
-        if mount in state.mounts and (known.bus, known.source) in state.candidates:
+        mount = known.mount if known.name is None else by_name.get((known.bus, known.name), known.mount)
+        if mount is not None and mount in state.mounts and (known.bus, known.source) in state.candidates:
             expected[mount] = state.candidates.index((known.bus, known.source))
     return expected
 
@@ -220,7 +220,7 @@ def _moved_on(state: Recognition, points: list[Vector], t_ns: int) -> bool:
 
 
 def _compare(
-    state: Recognition, aligner: Aligner, points: list[Vector], fixed: Mapping[Mount, Vector], t_ns: int
+    state: Recognition, aligner: Aligner, points: list[Vector], fixed: dict[Mount, Vector], t_ns: int
 ) -> None:
     """Add what this instant tells of each assignment."""
     machine = aligner.machine

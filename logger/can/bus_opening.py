@@ -1,4 +1,7 @@
-"""Opens the buses of the machine file, for listening only unless it allows to ask for NAMEs, and explains why one cannot be opened."""
+"""Opens the buses of the machine file, and explains why one cannot be opened.
+
+For listening only, unless the file allows to ask for NAMEs.
+"""
 
 import difflib
 import errno

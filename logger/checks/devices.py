@@ -114,7 +114,7 @@ class Devices:
                 yield CheckFinding("other receiver", Level.NOTE, text)
 
     def _unclaimed(self, bus: Bus) -> bool:
-        """Whether a receiver is looked for by its NAME on a bus on which nobody has told one, nor is asked."""
+        """Whether a receiver is looked for by NAME on a bus on which nobody tells one, nor is asked."""
         named = any(r.bus == bus.name and r.name is not None for r in self._machine.receiver)
         told = any(s.bus == bus.name and s.name is not None for s in self._senders.values())
         heard = any(s.bus == bus.name and s.frames for s in self._senders.values())

@@ -50,7 +50,8 @@ class Recording:
     ) -> None:
         """renew: gives the fold's state as text and makes the fold go on from just that text. It is called
         before each file that does not begin where the fold did, so that the file replays alone; before the
-        first only `with_state`. addresses: who has which address, for the head of each file. note: what the operator says of the run.
+        first only `with_state`. addresses: who has which address, for the head of each file. note: what the
+        operator says of the run.
         """
         self.counts = RecordedCounts()
         self._machine = machine

@@ -55,8 +55,8 @@ def test_the_json_summary(live: Live, answer: Answer) -> None:
     assert (status, err, out.count("\n")) == (0, "", 1)
     found = json.loads(out)
     assert list(found) == [
-        "frames", "measurements", "rejected", "poses", "duration_s", "truncated", "unknown_sources", "left_out",
-        "events", "flags", "estimates", "nuisances", "verify",
+        "frames", "measurements", "rejected", "poses", "duration_s", "truncated", "unknown_sources",
+        "left_out", "events", "flags", "estimates", "nuisances", "verify",
     ]  # fmt: skip
     assert found["frames"] == len(live.rows)
     assert found["truncated"] is False

@@ -193,7 +193,7 @@ DAMAGED: list[Callable[[Path], object]] = [
     lambda path: path.write_text(json.dumps({"format": 99})),
     lambda path: path.write_bytes(b"\xff" * 100),
     lambda path: path.write_bytes(b" " * 2_000_000),
-    lambda path: os.mkfifo(path),
+    os.mkfifo,
     lambda path: path.mkdir(),
 ]
 
