@@ -155,7 +155,7 @@ def open_slcan(config: Bus, clock: Clock, tally: Tally) -> SlcanPort:
             descriptor, b"S%d\r%s\r" % (_KILOBITS.index(config.bitrate // 1000), b"L" if listen else b"O")
         )
         if config.request_claims:
-            length, data = len(claim_request.DATA), claim_request.DATA.hex()
+            length, data = len(claim_request.DATA), claim_request.DATA.hex().upper()
             os.write(descriptor, b"T%08X%d%s\r" % (claim_request.IDENTIFIER, length, data.encode()))
     except BaseException:
         os.close(descriptor)

@@ -173,12 +173,17 @@ def open_socketcan(config: Bus, clock: Clock, tally: Tally) -> SocketCanPort:
         _bind(one, config)
         port.ask(clock.t_ns())
         if config.request_claims:
-            request = claim_request.IDENTIFIER | EXTENDED, len(claim_request.DATA), claim_request.DATA
-            port.note = claim_request.ask(lambda: one.send(CAN_FRAME.pack(*request))) or port.note
+            port.note = claim_request.ask(lambda: ask_for_claims(one)) or port.note
     except BaseException:
         one.close()
         raise
     return port
+
+
+def ask_for_claims(one: socket.socket) -> None:
+    """Raises OSError."""
+    data = claim_request.DATA
+    one.send(CAN_FRAME.pack(claim_request.IDENTIFIER | EXTENDED, len(data), data))
 
 
 def check(config: Bus) -> None:
