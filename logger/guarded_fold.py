@@ -316,6 +316,7 @@ class GuardedFold:
         state = initial(self._machine, self.state.accepted)
         state.ready = self.state.ready
         carry(state, self.state.watch.moved)
+        recall(state, self.known_addresses)  # nobody claims anew because of a fault here
         return state
 
     def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:

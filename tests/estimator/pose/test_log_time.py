@@ -241,3 +241,27 @@ def test_of_the_drive_with_sixty_frames_ahead_all_others_are_used(name: str) -> 
     assert sentences(state.time) == [
         "60 frames of source 0 on can0 are stamped 6.0 s ahead of the rest: left out"
     ]
+
+
+def test_clocks_apart_in_a_log_that_was_sorted_are_said() -> None:
+    """By what both heard: the UTC of their receivers."""
+    text = {
+        'bus = "can0"\nname = "C0': 'bus = "can1"\nname = "C0',
+        '[[receiver]]\nmount = "tractor_front"': '[[bus]]\nname = "can1"\ninterface = "virtual"\n'
+        'channel = "x"\n\n[[receiver]]\nmount = "tractor_front"',
+    }
+    told = {}
+    for apart_ns in (0, 5_000_000_000):
+        state, out = initial(demo_machine(**text)), []
+        state.ready = False
+        frames = []
+        for frame in simulate(demo_machine(), 3, 20.0, Scenario(other_traffic=False)):
+            second = frame.extended and frame.can_id & 0xFF in (70, 129)
+            t_ns = frame.t_ns + apart_ns * second
+            frames.append(replace(frame, t_ns=t_ns, rx_ns=t_ns, bus="can1" if second else "can0"))
+        for frame in sorted(frames, key=lambda f: f.t_ns):
+            out += [p.value for p in step(state, frame) if isinstance(p.value, Event)]
+        told[apart_ns] = [event.text for event in out if event.kind == "other_clock"]
+    assert told[0] == []
+    (text_,) = told[5_000_000_000]
+    assert text_.startswith("by the UTC of the receivers the clock of can1 is ")
