@@ -207,7 +207,7 @@ def test_whatever_lies_there_the_daemon_begins(damage: Callable[[Path], object],
     assert daemon.close().log_files
 
 
-def run_through(folder: Path, text: str, frames: Sequence[Frame]) -> list[Path]:
+def run_through(folder: Path, text: str, frames: Sequence[Frame]) -> tuple[Path, ...]:
     """One run of the daemon in this process."""
     daemon = Daemon(parse_machine(text), text, folder, None, NoDisplay(), keep=True)
     with can.Bus(interface="virtual", channel="tilth-addresses") as bus:
@@ -263,7 +263,7 @@ def test_the_real_daemon_killed_while_driving(seconds: float, tmp_path: Path) ->
             at = [0.001 * i for i in range(len(part))]
             sender.begin([port], [(0, f, s) for f, s in zip(part, at, strict=True)])
             sender.finish()
-            until(lambda: list(logs.glob("*.addresses.json")), lambda: time.sleep(0.05))
+            until(lambda: any(logs.glob("*.addresses.json")), lambda: time.sleep(0.05))
             daemon.send_signal(end)
             daemon.communicate(timeout=PATIENCE_S)
     first_part = min(logs.glob("*_001.mcap"), key=lambda path: path.stat().st_mtime)
