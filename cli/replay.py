@@ -196,6 +196,7 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
         "duration_s": summary.duration_ns * 1e-9,
         "truncated": summary.truncated,
         "unknown_sources": [_sender(origin, number) for origin, number in summary.unknown.items()],
+        "left_out": summary.left_out,
         "events": [asdict(event) for event in summary.events],
         "flags": {flag: asdict(flagged) for flag, flagged in sorted(summary.flags.items())},
         **estimates_and_nuisances(summary.estimates),
@@ -237,6 +238,8 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
         console.print(f"rejected: {count} {rejection_words(reason)}")
         for origin, messages in summary.unknown.items() if reason == "unknown_source" else ():
             console.print(f"    {messages} of {who(origin)}")
+        for text in summary.left_out if reason == "other_time" else ():
+            console.print(f"    {text}")
     for flag, flagged in sorted(summary.flags.items()):
         console.print(f"flagged: {flagged.poses} poses {flag}")
     if not summary.poses:

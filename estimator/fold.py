@@ -12,13 +12,14 @@ from tilth.estimator import warm_start
 from tilth.estimator.methods import consistency
 from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
-from tilth.estimator.pose import aligner, log_time, receiver_checks
+from tilth.estimator.pose import aligner, log_time, receiver_checks, recognition
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
+from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
@@ -39,12 +40,14 @@ from tilth.schemas.flow import (
     Event,
     FitOutcome,
     Flag,
+    FlagKind,
     Frame,
     Measurement,
     Pose,
     Position,
     Publication,
 )
+from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import sentence
@@ -75,6 +78,7 @@ class State:
     clock_steps: int = 0
     not_numbers: int = 0  # measurements refused because a value is not finite
     time: LogTime = field(default_factory=LogTime)  # of the log
+    recognition: Recognition = field(default_factory=Recognition)  # of receivers that claim no address
     flags: tuple[Flag, ...] = ()  # of the last pose
     place: tuple[float, float, float, float] | None = None
     """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
@@ -148,6 +152,11 @@ def carry(state: State, moved: Sequence[Moved]) -> None:
         state.consistency.pairs_known = state.consistency.confirmed
 
 
+def recall(state: State, known: Sequence[KnownAddress]) -> None:
+    """Before the first frame: who had which address, as was logged, or kept by an earlier run."""
+    state.recognition.before = list(known)
+
+
 def _reset_estimators(state: State, t_ns: int) -> None:
     """Put the methods back to the beginning of the run: they have learned from wrong measurements."""
     state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
@@ -173,23 +182,82 @@ def step(state: State, frame: Frame) -> list[Publication]:
     state.segments.clear()
     state.frames += 1
     jump_ns = log_time.take_stamp(state.time, frame)
+    frame = log_time.on_log_clock(state.time, frame)
+    if state.time.news:
+        _publish_news(state, state.time.news, out)
     if jump_ns is None:  # a stray frame: only address claims are taken from it, no measurement
-        state.decoder.measurements(frame)
+        now_ns = state.latest_ns
+        state.decoder.measurements(replace(frame, t_ns=now_ns, rx_ns=now_ns))
         return out
-    if jump_ns < 0:
+    if jump_ns < 0 or (jump_ns > 0 and state.time.misled):
         _clock_stepped(state, frame.t_ns, jump_ns, out)
-    elif jump_ns > 0:
+    elif jump_ns >= log_time.SILENCE_NS:
         text = f"no frame for {jump_ns * 1e-9:.1f} s"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
     now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
+    if state.recognition.before:
+        _recall_addresses(state, frame, out)
     position_taken = False
-    for measurement in state.decoder.measurements(frame):
+    for measurement in (measurements := state.decoder.measurements(frame)):
         position_taken |= _take_measurement(state, frame.t_ns, measurement, out)
+    if state.decoder.addresses.unplaced:
+        _recognise(state, frame.t_ns, now_ns, measurements, out)
+    if state.decoder.addresses.news:
+        _publish_news(state, state.decoder.addresses.news, out)
     due_ns = state.aligner.due_ns
     if due_ns and (position_taken or now_ns >= due_ns + aligner.DEADLINE_NS):
         for pose in poses(state.aligner, now_ns):
             _publish_pose(state, frame.t_ns, pose, out)
     return out
+
+
+def _publish_news(state: State, news: list[tuple[str, str]], out: list[Publication]) -> None:
+    """Report what the log's time or the addresses have told."""
+    out += [Publication(state.latest_ns, "/event", Event(state.latest_ns, kind, text)) for kind, text in news]
+    news.clear()
+
+
+def _recall_addresses(state: State, frame: Frame, out: list[Publication]) -> None:
+    """With the first frame of a bus: use what was known of it, if its devices have not been switched off."""
+    sure = recognition.first_of_bus(state.recognition, state.machine, frame.bus, frame.t_ns)
+    book = state.decoder.addresses
+    used = [(mount, known) for known in sure if (mount := book.recall(known)) is not None]
+    if used:
+        where = ", ".join(f"{mount} at address {known.source}" for mount, known in used)
+        ago_s = (frame.t_ns - used[0][1].last_ns) * 1e-9
+        text = (
+            f"{frame.bus} was silent for {ago_s:.0f} s: receivers have the addresses that they had: {where}"
+        )
+        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, recognition.EVENT, text)))
+
+
+def _recognise(
+    state: State, t_ns: int, now_ns: int, measurements: Sequence[Measurement], out: list[Publication]
+) -> None:
+    """Look for receivers whose address is not known."""
+    book, heard = state.decoder.addresses, state.decoder.heard
+    if not heard and not state.recognition.heard:
+        return
+    for position in (*heard, *(m for m in measurements if isinstance(m, Position))):
+        recognition.take(state.recognition, position)
+    heard.clear()
+    found, text = recognition.search(state.recognition, state.aligner, book.unplaced, now_ns)
+    for known in found:
+        book.place(known)
+    if found:
+        state.recognition = Recognition()
+    if text:
+        _publish_event(state, t_ns, recognition.EVENT, text, out)
+
+
+def _doubt_addresses(state: State, t_ns: int, out: list[Publication]) -> None:
+    """Receivers that were taken to be where they were before do not fit the rig: look who they are."""
+    mounts = state.decoder.addresses.displace()
+    if mounts:
+        aligner.forget(state.aligner, mounts)
+        state.recognition = recognition.restart(state.recognition)
+        text = "receivers may not have the addresses that they had: they are looked for by where they are"
+        _publish_event(state, t_ns, recognition.EVENT, text, out)
 
 
 def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
@@ -219,9 +287,13 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     for kind, text in flag_events(state.flags, pose.flags):
         out.append(Publication(t_ns, "/event", Event(t_ns, kind, text)))
     state.flags = pose.flags
+    if any(flag.kind in (FlagKind.SWAPPED, FlagKind.MOVED) for flag in pose.flags):
+        _doubt_addresses(state, t_ns, out)
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
+    for kind, text in aligner.news(state.aligner):
+        _publish_event(state, t_ns, kind, text, out)
     _act_on_checks(state, t_ns, out)
     _watch(state, t_ns, pose, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
@@ -407,11 +479,11 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
 
 def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) -> None:
     """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
-    stays."""
-    state.clock_steps += 1
+    stays. Also where the log's first stamps were wrong."""
     state.aligner = aligner.initial(state.machine)
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     _exclude_smoothed_turn_rates(state)
+    state.recognition = recognition.restart(state.recognition)
     receiver_checks.clock_stepped(state.checks)
     record_builder.clock_stepped(state.record)
     consistency.clock_stepped(state.consistency)
@@ -419,5 +491,8 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     state.previous_run_ns += by_ns
     for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], by_ns)
+    if state.time.misled:  # which is reported as what it is
+        return
+    state.clock_steps += 1
     text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"
     out.append(Publication(t_ns, "/event", Event(t_ns, "clock_step", text)))

@@ -13,6 +13,7 @@ from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
+from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
@@ -22,7 +23,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 19
+VERSION: Final = 20
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 
@@ -51,6 +52,7 @@ def snapshot(state: State) -> str:
         "ready": state.ready,
         "clock_steps": state.clock_steps,
         "not_numbers": state.not_numbers,
+        "recognition": to_json_data(state.recognition),
         "time": to_json_data(state.time),
         "flags": to_json_data(state.flags),
         "place": to_json_data(state.place),
@@ -134,6 +136,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         ready=stored.value(bool, "ready"),
         clock_steps=stored.value(int, "clock_steps"),
         not_numbers=stored.value(int, "not_numbers"),
+        recognition=stored.value(Recognition, "recognition"),
         time=stored.value(LogTime, "time"),
         flags=tuple(stored.value(list[Flag], "flags")),
         place=stored.optional(tuple[float, float, float, float], "place"),

@@ -15,6 +15,7 @@ from pathlib import Path
 from tilth.estimator.fold import RECOMMENDED
 from tilth.logger.accept_log import KEY as ACCEPT
 from tilth.logger.accept_log import AcceptLog
+from tilth.logger.address_memory import AddressMemory
 from tilth.logger.can.bus_opening import open_port
 from tilth.logger.can.buses import Buses
 from tilth.logger.can.port_threads import Opener
@@ -22,7 +23,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
 from tilth.logger.keeping import Keeping
 from tilth.logger.live_estimation import LiveEstimation
-from tilth.logger.log.mcap_log import ClockReason
+from tilth.logger.log.mcap_log import ClockReason, machine_sha256
 from tilth.logger.log.run_log import Recording
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Events, Outlets
@@ -77,12 +78,16 @@ class Daemon:
         counts = LoopCounts(started_ns=clock.t_ns())
         buses = Buses(machine.bus, clock, self._report, opener)
         self._keeping = Keeping(folder, machine, fold, clock, self._report) if keep else None
+        sha256 = machine_sha256(machine, machine_text)
+        self._addresses = AddressMemory(folder, machine, sha256, fold, clock, self._report) if keep else None
         warmed = False
         if self._keeping is not None and not fresh:
             warmed = self._keeping.take_up(counts.started_ns)
+        if self._addresses is not None:
+            warmed |= self._addresses.take_up()
         recording = Recording(
             folder, machine, machine_text, clock, self._report, fold.renew,
-            with_state=warmed, note=note, simulated=simulated,
+            addresses=lambda: fold.known_addresses, with_state=warmed, note=note, simulated=simulated,
         )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
         marks, accepts = MarkLog(fold, clock, outlets), AcceptLog(fold, clock, outlets)
@@ -179,6 +184,8 @@ class Daemon:
         parts.estimation.start_worker()
         if self._keeping is not None and self._keeping.is_due(t_ns):
             self._keeping.keep(t_ns, parts.outlets.recording)
+        if self._addresses is not None:
+            self._addresses.turn(t_ns, parts.outlets.recording)
         self._status = build_status(parts, t_ns)
         parts.outlets.put("/status", t_ns, CHANNEL["/status"].encode(self._status))
         parts.supervisor.status(plain_line(self._status, parts.estimation.fold.estimates[RECOMMENDED]))

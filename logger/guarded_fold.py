@@ -5,6 +5,7 @@ Live and replay both drive this, so that a replay fails where the live run faile
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from tilth.estimator.fold import (
     RECOMMENDED,
@@ -16,12 +17,14 @@ from tilth.estimator.fold import (
     finish,
     initial,
     pending,
+    recall,
     request_fits,
     resume,
     save_learned,
     step,
 )
 from tilth.estimator.methods import consistency
+from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
@@ -42,6 +45,7 @@ from tilth.schemas.flow import (
     Publication,
     Status,
 )
+from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import text_reason
 
@@ -144,17 +148,31 @@ class GuardedFold:
         """Senders of the messages counted as "unknown_source", with their counts since the last fault."""
         return self.state.decoder.unknown
 
+    def recall(self, known: Sequence[KnownAddress]) -> None:
+        """Before the first frame: who had which address, as far as known from before."""
+        recall(self.state, known)
+
+    @property
+    def known_addresses(self) -> list[KnownAddress]:
+        """Who has which address now, with the time at which its bus was heard last."""
+        book, bus_ns = self.state.decoder.addresses, self.state.time.bus_ns
+        now = [replace(known, last_ns=bus_ns.get(known.bus, 0)) for known in book.known()]
+        held = {(known.bus, known.source) for known in now}
+        return now + [k for k in self.state.recognition.before if (k.bus, k.source) not in held]
+
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """The publications that a frame causes, each with its bytes as logged and published."""
         if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
             return []
         try:
-            publications = self._adopt(frame.t_ns) if self._decided else []
+            publications = []
+            if self._decided and log_time.continues(self.state.time, frame):
+                publications = self._adopt(log_time.on_log_clock(self.state.time, frame).t_ns)
             poses = self.state.poses
             publications += step(self.state, frame)
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
-            publications += self.decided(frame.t_ns)
+            publications += self.decided(self.state.latest_ns)
             encoded = [(publication, payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)
@@ -299,6 +317,7 @@ class GuardedFold:
         state = initial(self._machine, self.state.accepted)
         state.ready = self.state.ready
         carry(state, self.state.watch.moved)
+        recall(state, self.known_addresses)  # nobody claims anew because of a fault here
         return state
 
     def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:

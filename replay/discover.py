@@ -4,7 +4,7 @@ Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from tilth.logger.can.lean_can import import_can
@@ -51,6 +51,8 @@ class BusDevice:
     positions: int  # position messages that hold one
     empty_positions: int  # position messages that say "not available"
     turn_rate_lag: tuple[float, float] | None = None  # s, and its sd: of one that is smoothed
+    shares_name: bool = False  # another device has the same NAME
+    moved: bool = False  # its NAME is at another address by now
 
     @property
     def manufacturer_name(self) -> str:
@@ -75,7 +77,7 @@ class Findings:
 
     @property
     def receivers(self) -> tuple[BusDevice, ...]:
-        return tuple(source for source in self.sources if source.sends_positions)
+        return tuple(source for source in self.sources if source.sends_positions and not source.moved)
 
 
 @dataclass(slots=True)
@@ -163,12 +165,24 @@ class BusSurvey:
             seconds,
             tuple(self._buses),
             tuple(
-                _source(bus, source, speaker, lags.get((bus, source)))
+                self._named(_source(bus, source, speaker, lags.get((bus, source))))
                 for (bus, source), speaker in sorted(self._speakers.items())
                 if source != NULL_ADDRESS
             ),
             tuple(sorted(self._wheel_angles(), key=lambda candidate: candidate.score, reverse=True)),
         )
+
+    def _named(self, device: BusDevice) -> BusDevice:
+        """With what is known by now of its NAME."""
+        if device.name is None:
+            return device
+        held = self._decoder.origin(device.bus, device.source).name == device.name
+        shares = (device.bus, device.name) in self._decoder.addresses.twins
+        elsewhere = any(
+            known.bus == device.bus and known.name == device.name and known.source != device.source
+            for known in self._decoder.addresses.known()
+        )
+        return replace(device, shares_name=shares, moved=not held and not shares and elsewhere)
 
     def _count(self, frame: Frame) -> None:
         pgn = None

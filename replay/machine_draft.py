@@ -104,6 +104,10 @@ def _receiver(source: BusDevice | None) -> str:
             f"bus = {FILL_IN}: name of its [[bus]], in quotes",
             f"source = {FILL_IN}: its address, or name",
         ]
+    elif source.shares_name and source.name is not None:
+        why = f"two devices claim NAME {source.name:016X}: it identifies neither"
+        lines += [f'bus = "{source.bus}"', f"source = {source.source}  # {why}"]
+        lines.append(f"manufacturer = {source.manufacturer}")
     elif source.name is not None:
         lines += [f'bus = "{source.bus}"', f'name = "{source.name:016X}"']
     else:

@@ -6,7 +6,7 @@ records of a log ─► fold ─► OUT.mcap, Zenoh, comparison with what was lo
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tilth.estimator.methods.estimators import ROW
@@ -20,7 +20,14 @@ from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.readers.any_log import open_log, place
 from tilth.replay.readers.log import EmptyLog, Gap, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
-from tilth.schemas.channels import ACCEPTED_TOPIC, FIT_TOPIC, READY_TOPIC, payload
+from tilth.schemas.channels import (
+    ACCEPTED_TOPIC,
+    ADDRESSES_TOPIC,
+    FIT_TOPIC,
+    READY_TOPIC,
+    decode_addresses,
+    payload,
+)
 from tilth.schemas.flow import Accepted, Estimate, Event, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -28,12 +35,12 @@ from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
 from tilth.schemas.readable import readable
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
-INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC})
+INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, ADDRESSES_TOPIC})
 """What enters the fold besides frames and stored states."""
 WITH_RESULTS = IDENTICAL | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
-    {"fault", "clock_step", *receiver_checks.KINDS}
+    {"fault", "clock_step", "other_clock", *receiver_checks.KINDS}
 )  # kinds of events that are printed in a replay
 
 
@@ -62,6 +69,7 @@ class ReplaySummary:
     events: list[Event] = field(default_factory=list)
     flags: dict[str, Flagged] = field(default_factory=dict)
     unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
+    left_out: list[str] = field(default_factory=list)  # of rejected["other_time"]: whose frames, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +160,7 @@ class _Run:
         self._anew = False  # the next record is not of the run that the fold knows
         self._counts: Counter[tuple[str, str]] = Counter()
         self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
+        self._left_out: list[str] = []  # of the folds before
         self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
         self.fitter = ReplayedFits(machine, lambda kind, text: say(text))
         self._fold = GuardedFold(machine, fitter=self.fitter)
@@ -206,6 +215,8 @@ class _Run:
                 self._ready(log, record)
             elif record.topic == ACCEPTED_TOPIC:
                 self._accept(record)
+            elif record.topic == ADDRESSES_TOPIC:
+                self._recall(record, buses)
             else:
                 if comparison is not None:
                     comparison.logged(record)
@@ -253,6 +264,14 @@ class _Run:
         if self._outputs.writer is not None:
             self._outputs.writer.message(READY_TOPIC, record.t_ns, record.data)
 
+    def _recall(self, record: Logged, buses: Mapping[str, str]) -> None:
+        """Take who has which address from the head of a file, where no earlier part has told it."""
+        if self._outputs.writer is not None:
+            self._outputs.writer.message(ADDRESSES_TOPIC, record.t_ns, record.data)
+        if not self._fold.state.frames:
+            known = decode_addresses(record.data, self._sha256)
+            self._fold.recall([replace(one, bus=buses.get(one.bus, one.bus)) for one in known])
+
     def _accept(self, record: Logged) -> None:
         """Use a value that the operator accepted, as the daemon did."""
         said = pb.Accepted.FromString(record.data)
@@ -288,6 +307,7 @@ class _Run:
 
     def _start_anew(self, t_ns: int) -> None:
         self._anew = False
+        self._left_out += log_time.sentences(self._fold.state.time)
         self.fitter.forget()
         fold = GuardedFold(self._machine, fitter=self.fitter)
         self._go_on_with(fold, t_ns, fold.renew())
@@ -331,6 +351,7 @@ class _Run:
             return
         fold = GuardedFold(self._machine, fitter=self.fitter)
         fold.state.decoder, fold.ready = decoder, self._fold.ready
+        fold.state.recognition = self._fold.state.recognition
         self._go_on_with(fold, stored.t_ns, fold.renew())
 
     def _go_on_with(self, fold: GuardedFold, t_ns: int, state_json: str) -> None:
@@ -352,6 +373,7 @@ class _Run:
         self._unknown.subtract(self._unknown_before)
         self._unknown_before = self._unknown_now()
         self.summary.unknown = {self._origins[key]: n for key, n in self._unknown.most_common() if n > 0}
+        self.summary.left_out = self._left_out + log_time.sentences(self._fold.state.time)
         self.summary.measurements = self._counts["measurements", ""]
         self.summary.poses = self._counts["poses", ""]
         for (kind, reason), count in self._counts.items():

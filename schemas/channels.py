@@ -4,7 +4,7 @@
 all come from it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -17,6 +17,7 @@ from google.protobuf.message import Message as ProtoMessage
 
 from tilth.schemas import flow
 from tilth.schemas.drawing import encode_drawing, encode_frames
+from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Reason
@@ -162,6 +163,34 @@ def _encode_accepted(accepted: flow.Accepted) -> bytes:
     ).SerializeToString()
 
 
+def encode_addresses(t_ns: int, known: Iterable[KnownAddress], machine_sha256: str) -> bytes:
+    """Who has which address, for the head of a log file. machine_sha256: of whose machine file they are."""
+    message = pb.Addresses(t_ns=t_ns, machine_sha256=machine_sha256)
+    for one in known:
+        row = message.known.add(bus=one.bus, source=one.source, last_ns=one.last_ns)
+        _set_present(row, one, ("name", "mount"))
+    return message.SerializeToString()
+
+
+def decode_addresses(data: bytes, machine_sha256: str) -> list[KnownAddress]:
+    """What `encode_addresses` wrote; with another machine file only the NAMEs count.
+
+    Raises what protobuf raises for other bytes, ValueError for a mount that is not known.
+    """
+    message = pb.Addresses.FromString(data)
+    same = message.machine_sha256 == machine_sha256
+    return [
+        KnownAddress(
+            one.bus,
+            one.source,
+            one.name if one.HasField("name") else None,
+            flow.Mount(one.mount) if same and one.HasField("mount") else None,
+            one.last_ns,
+        )
+        for one in message.known
+    ]
+
+
 def _encode_rig(machine: Machine) -> bytes:
     tractor, implement, tyres = machine.tractor, machine.implement, machine.tyres
     axles = (tyres.front, tyres.rear, tyres.implement)
@@ -222,6 +251,7 @@ TOPIC_OF: dict[type[flow.Measurement], str] = {kind: f"/measurement/{name}" for 
 FIT_TOPIC = "/fit"
 READY_TOPIC = "/ready"
 ACCEPTED_TOPIC = "/accepted"
+ADDRESSES_TOPIC = "/addresses"
 
 CHANNELS: tuple[Channel, ...] = (
     *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
@@ -240,6 +270,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
     Channel(ACCEPTED_TOPIC, pb.Accepted, _encode_accepted, identical=False),
+    Channel(ADDRESSES_TOPIC, pb.Addresses, pb.Addresses.SerializeToString, identical=False),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),
     Channel("/rig", pb.Rig, _encode_rig, key="rig", identical=False, logged=False),

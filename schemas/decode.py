@@ -12,7 +12,16 @@ from typing import Any
 
 from tilth.schemas.can_id import BROADCAST, CanId, join, split
 from tilth.schemas.fields import Rows, count
-from tilth.schemas.flow import AddressClaim, Frame, Measurement, Message, Origin, WheelAngle, Word
+from tilth.schemas.flow import (
+    AddressClaim,
+    Frame,
+    Measurement,
+    Message,
+    Origin,
+    Position,
+    WheelAngle,
+    Word,
+)
 from tilth.schemas.identity import AddressBook, Sender, split_name
 from tilth.schemas.machine import Machine
 from tilth.schemas.measures import Head, Made, makers_of
@@ -28,6 +37,7 @@ REASONS: dict[str, str] = {
     "unidentified": "a manufacturer's own message (65535) from an address whose manufacturer is not known",
     "unknown_source": "from an address that is no receiver or sensor of the machine file",
     "quarantine": "from a receiver's address that somebody else has claimed",
+    "twin_name": "from one of two devices that claim the same NAME",
     "address_conflict": "an address claim for an address that another NAME holds",
     "repeat": "a position that repeats the one before",
     "magnetic": "a heading or course that counts from magnetic north",
@@ -83,6 +93,7 @@ class Decoder:
         Raises MachineError where its DBC file does not give the wheel angle.
         """
         self.rejected: dict[str, int] = {}
+        self.heard: list[Position] = []  # of who may be a receiver; whoever reads them clears them
         self._faults: dict[str, int] = {}  # of the message in hand
         self._passed: dict[tuple[str, int, bool], int] = {}  # frames of identifiers that nobody reads
         self._foreign: dict[Unread, int] = {}  # frames of manufacturers' own messages that no row reads
@@ -104,6 +115,11 @@ class Decoder:
     def unknown(self) -> dict[Origin, int]:
         """Senders of the messages counted as "unknown_source", with their counts."""
         return self._addresses.unknown
+
+    @property
+    def addresses(self) -> AddressBook:
+        """Who has which address."""
+        return self._addresses
 
     def origin(self, bus: str, source: int) -> Origin:
         """The device that has an address, as far as known."""
@@ -296,6 +312,8 @@ class Decoder:
                 return
             if route.sensor is None:
                 self._refuse(sender)
+            if arrival[0].position is not None and self._addresses.candidate(sender):
+                self._hear(sender, arrival)
             return
         values = arrival[0].layout.measured(arrival[1], self._faults)
         head, repeat, faulty = self._head(sender, arrival, values)
@@ -313,6 +331,14 @@ class Decoder:
             count(self.rejected, "repeat")
         elif nothing:
             count(self.rejected, "not_available")
+
+    def _hear(self, sender: Sender, arrival: _Arrival) -> None:
+        """Keep a position of a sender that may be a receiver whose address is not known."""
+        values = arrival[0].layout.measured(arrival[1], {})
+        if "latitude_deg" in values and "longitude_deg" in values:
+            at = float(values["latitude_deg"]), float(values["longitude_deg"])
+            head = (arrival[2], arrival[3], sender.origin, arrival[0].pgn, None)
+            self.heard.append(Position(*head, *at, 0.0))
 
     def _refuse(self, sender: Sender) -> None:
         """Count a message that would make a measurement if it came from a receiver of the machine file."""

@@ -139,6 +139,17 @@ class Bus(_Section):
     options: dict[str, str | int | float | bool] = Field(
         default_factory=dict, description="further arguments of that python-can interface"
     )
+    request_claims: bool = Field(
+        default=False,
+        description="when the bus is opened, send one frame that asks all devices for their NAMEs (PGN 59904 "
+        "for 60928); else nothing is ever sent",
+    )
+
+    @model_validator(mode="after")
+    def _able(self) -> Self:
+        if self.request_claims and self.interface == "mavlink":
+            raise ValueError("request_claims: an autopilot's bus is only listened to; leave it out")
+        return self
 
 
 def _hexadecimal(raw: Any) -> int:

@@ -24,7 +24,17 @@ AGES_S: Final[dict[str, float]] = {
 }
 """Channel -> how old a value may be on a common clock, s; the first row that fits. Poses come each 0.2 s,
 estimates and the daemon's status each second; an estimate is used for 3 s, as controllers do."""
-_NO_VALUES: Final = ("measurement_address_claim", "event", "accepted", "fit", "ready", "rig", "report", CAN)
+_NO_VALUES: Final = (
+    "measurement_address_claim",
+    "event",
+    "accepted",
+    "addresses",
+    "fit",
+    "ready",
+    "rig",
+    "report",
+    CAN,
+)
 
 
 class UnknownChannel(ValueError):

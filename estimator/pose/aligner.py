@@ -36,6 +36,9 @@ LOST_NS = 1_000_000_000  # no usable position for this long
 MOVED_SD = 0.03  # s, by which a moved receiver's learned latency may be wrong: 0.1 m at 3 m/s
 FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
 ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
+CLOCKS_APART_NS = 3_000_000_000  # receivers tell UTC up to a second late
+LEAP_SECONDS_NS = (16_000_000_000, 20_000_000_000)  # some tell GPS time for UTC
+DAY_NS = 86_400_000_000_000
 MOUNTS = tuple(Mount)
 WHEEL_BASED_PGN = 65096
 _NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
@@ -61,6 +64,7 @@ class Aligner:
     last_pose_ns: int = 0
     last_heading: list[tuple[int, float, float] | None] = field(default_factory=lambda: [None, None])
     """Of tractor and implement: instant, heading and its sd (rad) at the last pose with both receivers."""
+    clocks_told: bool = False  # that two buses are not on one clock
     suspicion: plausibility.Suspicion = field(default_factory=plausibility.Suspicion)
     long_term: plausibility.LongTermMeans = field(default_factory=plausibility.LongTermMeans)
 
@@ -97,6 +101,15 @@ def leave_out(state: Aligner, mounts: Collection[str]) -> None:
         if track.left_out != (mount in mounts):  # being moved along its body was taken for latency
             state.latency.covariance[index, index] += MOVED_SD**2
         track.left_out = mount in mounts
+    state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
+    state.last_heading = [None, None]
+
+
+def forget(state: Aligner, mounts: Collection[Mount]) -> None:
+    """What these receivers have sent was another's."""
+    for receiver in state.machine.receiver:
+        if receiver.mount in mounts:
+            state.tracks[receiver.mount.value] = _track(receiver)
     state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
     state.last_heading = [None, None]
 
@@ -177,6 +190,39 @@ def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> bool:
     for track in state.tracks.values():
         track.positions.clear()
     return True
+
+
+def news(state: Aligner) -> list[tuple[str, str]]:
+    """(kind, text) of the events since the last call: how often receivers give positions, and buses whose
+    clocks are apart."""
+    out = _clocks_apart(state)
+    for mount, track in state.tracks.items():
+        out += [(kind, f"{mount} {text}") for kind, text in track.rate.news]
+        track.rate.news.clear()
+    return out
+
+
+def _clocks_apart(state: Aligner) -> list[tuple[str, str]]:
+    """An event, once, if by the UTC that receivers tell two buses are not on one clock: in a log that was
+    sorted by its stamps nothing else shows it."""
+    offsets: dict[str, int] = {}  # bus -> its clock less UTC
+    for receiver in state.machine.receiver:
+        offset_ns = state.tracks[receiver.mount.value].utc.offset_ns
+        if offset_ns is not None:
+            offsets[receiver.bus] = min(offset_ns, offsets.get(receiver.bus, offset_ns))
+    if state.clocks_told or len(offsets) < 2:
+        return []
+    (one, ns), (other, other_ns) = list(offsets.items())[:2]
+    apart_ns = abs(ns - other_ns)
+    of_leap_seconds = LEAP_SECONDS_NS[0] < apart_ns < LEAP_SECONDS_NS[1]
+    if apart_ns < CLOCKS_APART_NS or of_leap_seconds or apart_ns > DAY_NS:  # a receiver tells another time
+        return []
+    state.clocks_told = True
+    ahead, behind = (one, other) if ns > other_ns else (other, one)
+    text = f"by the UTC of the receivers the clock of {ahead} is {apart_ns * 1e-9:.1f} s ahead of"
+    return [
+        ("other_clock", f"{text} that of {behind}: what they say does not belong together; use one clock")
+    ]
 
 
 def due(state: Aligner, now_ns: int) -> int | None:

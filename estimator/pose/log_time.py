@@ -1,28 +1,48 @@
 """The time of a log, from the stamps of its frames: does it continue, was there a silence, did it step back?
 
-A single frame may have a stamp far from those before it: a message that was assembled over seconds and has
-the time of its first frame, a frame of a second clock in the same log, or a wrong stamp. Such a frame is
-called stray; it does not change the log's time. The log's time jumps only when for a while no frame has had a
-stamp near it.
+The many decide. A frame whose stamp is away from the log's time is called stray: it does not change that
+time, is not used and is counted with its sender. The log's time jumps only when such frames outnumber the
+others.
+
+Each of several buses may have a clock of its own. If the stamps of one stay away from the log's time by the
+same amount while others go on, they are aligned by the order of the frames in the log. Where the order is not
+that of arrival, nothing here can tell.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 from tilth.schemas.flow import Frame
 
-OUT_OF_ORDER_NS = 500_000_000  # stamps that go back by less than this are only out of order
-SILENCE_NS = 10_000_000_000  # no frame for so long, or stamps that jump ahead by it: nothing continues across
-EARLIER_LASTS_NS = 1_500_000_000
-"""How long all frames must have an earlier time before it is accepted: a device that sends once a second on
+OUT_OF_ORDER_NS: Final = 500_000_000  # stamps that differ by less than this are only out of order
+SILENCE_NS: Final = 10_000_000_000  # no frame for so long: nothing continues across
+EARLIER_LASTS_NS: Final = 1_500_000_000
+"""How long most frames must have an earlier time before it is accepted: a device that sends once a second on
 the old clock would have sent by then."""
-LATER_LASTS_NS = 500_000_000  # the same for a later time: longer than the frames of one long message
-LONGEST_INTERVAL_NS = 200_000_000  # a longer time between frames counts as this: the frame may be delayed
-LONE_FRAME_NS = 1_000_000_000  # a larger gap between two stray frames shows that the first one was alone
+LATER_LASTS_NS: Final = 500_000_000  # the same for a later time: longer than the frames of one long message
+LONGEST_INTERVAL_NS: Final = 200_000_000  # a longer time between frames counts as this: it may be delayed
+LONE_FRAME_NS: Final = 1_000_000_000  # a larger gap between two stray frames shows that the first was alone
+GAP_LASTS_NS: Final = 10_000_000_000  # in which the longest usual gap between two frames is forgotten
+ESTABLISHED: Final = 16  # frames that agree on a time; fewer may be the exception themselves
+CERTAIN: Final = 24  # frames of two senders in excess of all others: no accident
+SLEW_NS: Final = 1_000_000  # by which one frame may change the alignment of a bus
+COARSE_NS: Final = 100_000_000  # steps of stamps that are all as long as this align nothing
+COARSE_AFTER: Final = 400  # frames
+DAY_NS: Final = 86_400_000_000_000
+
+
+@dataclass(slots=True)
+class Strays:
+    """Stray frames of one sender."""
+
+    frames: int
+    least_ns: int  # how far they were ahead of the log's time
+    most_ns: int
 
 
 @dataclass(slots=True)
 class OffTimeFrames:
-    """Consecutive frames whose stamps all differ from the log's time. Times in ns."""
+    """Frames of one bus at another time than the log's, which may turn out to be right. Times in ns."""
 
     from_ns: int  # the log's time before them
     since_ns: int  # stamp of the first of them
@@ -31,19 +51,34 @@ class OffTimeFrames:
     needed_ns: int  # how long they must last to be accepted
     passed_ns: int  # LogTime.passed_ns before them
     lasted_ns: int = 0  # how long they have lasted
-    stray: int = 0  # how many of them were not used
+    votes: int = 0  # how many there are in excess of frames at other times
+    strays: dict[str, Strays] = field(default_factory=dict)  # they themselves, by sender, if they are strays
+    others: int = 0  # frames of other buses at the log's time since they began
+    ahead_ns: int = 0  # of the log's time: the least since `aligned_ns` counts
+    aligned_ns: int = 0  # how long they have been ahead by the same
 
 
 @dataclass(slots=True)
 class LogTime:
-    """State of a log's time. All times in ns on the clock of Frame.t_ns."""
+    """State of a log's time. All times in ns on the clock of Frame.t_ns, of the bus that was heard first."""
 
     latest_ns: int = 0  # greatest stamp since the last step back; 0 before the first
     passed_ns: int = 0  # time during which frames came, without silences and steps
     silent_ns: int = 0  # sum of the silences
     stray: int = 0  # stray frames: the log's time before and after them was another
     bus_ns: dict[str, int] = field(default_factory=dict)  # bus -> its greatest stamp since the last jump
-    off_time: OffTimeFrames | None = None  # frames at another time that may turn out to be right
+    off_time: dict[str, OffTimeFrames] = field(default_factory=dict)  # by bus
+    coarse: bool = False  # which has been reported
+    step_ns: int = 0  # shortest time between two different stamps; 0 before there were two
+    gap_ns: int = 0  # longest time between two frames lately
+    in_time: int = 0  # frames at this time since the last jump
+    first: dict[str, int] = field(default_factory=dict)  # sender -> frames, of the first ESTABLISHED
+    begun: bool = False  # the log's time has been established, or has jumped
+    offset_ns: dict[str, int] = field(default_factory=dict)  # bus of another clock -> what its stamps lack
+    strays: dict[str, Strays] = field(default_factory=dict)  # by sender
+    told: dict[str, int] = field(default_factory=dict)  # sender -> how many strays are worth the next event
+    news: list[tuple[str, str]] = field(default_factory=list)  # kind and text of events
+    misled: bool = False  # the last jump corrects a beginning of which the stamps were wrong
 
 
 def take_stamp(time: LogTime, frame: Frame) -> int | None:
@@ -51,70 +86,304 @@ def take_stamp(time: LogTime, frame: Frame) -> int | None:
 
     A value below 0 is a step back of the log's time by so many ns, above 0 a silence of so many ns.
     """
+    frame = on_log_clock(time, frame)
+    side = _side(time, frame)
+    if side:
+        return _off_time_frame(time, frame, side)
     t_ns, latest_ns = frame.t_ns, time.latest_ns
-    now_ns = min(frame.rx_ns, t_ns)  # a frame that waited in a queue is no sign of a silence
-    bus_latest_ns = time.bus_ns.get(frame.bus, 0)
     if latest_ns:
-        if t_ns < latest_ns - OUT_OF_ORDER_NS:
-            bus_in_order = t_ns >= bus_latest_ns - OUT_OF_ORDER_NS  # then this bus has another clock
-            return _off_time_frame(time, frame, t_ns, SILENCE_NS if bus_in_order else EARLIER_LASTS_NS)
-        if now_ns > latest_ns + SILENCE_NS:
-            return _off_time_frame(time, frame, now_ns, LATER_LASTS_NS)
-        time.passed_ns += max(0, t_ns - latest_ns)
-    time.bus_ns[frame.bus] = max(t_ns, bus_latest_ns)
+        advance_ns = max(0, t_ns - latest_ns)
+        if advance_ns:
+            time.step_ns = min(time.step_ns or advance_ns, advance_ns)
+        time.passed_ns += advance_ns
+        kept_ns = time.gap_ns - time.gap_ns * min(advance_ns, GAP_LASTS_NS) // GAP_LASTS_NS
+        time.gap_ns = max(min(advance_ns, SILENCE_NS), kept_ns)
+    time.bus_ns[frame.bus] = max(t_ns, time.bus_ns.get(frame.bus, 0))
     time.latest_ns = max(t_ns, latest_ns)
-    return 0 if time.off_time is None else _in_time_again(time, time.off_time, frame)
+    _support(time, frame)
+    if time.offset_ns:
+        _follow(time, frame)
+    return _in_time_again(time, frame) if time.off_time else 0
 
 
-def _off_time_frame(time: LogTime, frame: Frame, at_ns: int, needed_ns: int) -> int | None:
-    """Take a frame at another time: a stray one, or one more of a series. Returns as `take_stamp`."""
-    off_time = time.off_time
-    if off_time is None or (off_time.since_ns < off_time.from_ns) != (at_ns < off_time.from_ns):
-        off_time = time.off_time = OffTimeFrames(
-            time.latest_ns, at_ns, at_ns, at_ns, needed_ns, time.passed_ns
+def on_log_clock(time: LogTime, frame: Frame) -> Frame:
+    """The frame with its stamps on the log's clock, as far as the offset of its bus is known."""
+    offset_ns = time.offset_ns.get(frame.bus, 0)
+    if not offset_ns:
+        return frame
+    return replace(frame, t_ns=frame.t_ns + offset_ns, rx_ns=frame.rx_ns + offset_ns)
+
+
+def continues(time: LogTime, frame: Frame) -> bool:
+    """Whether a frame that has not been taken yet is at the log's time."""
+    return not _side(time, on_log_clock(time, frame))
+
+
+def sentences(time: LogTime) -> list[str]:
+    """Who sent the stray frames of this log, in words."""
+    return [in_words(sender, strays) for sender, strays in _all_strays(time).items()]
+
+
+def in_words(sender: str, strays: Strays) -> str:
+    """What is known of one sender's stray frames."""
+    number = "1 frame" if strays.frames == 1 else f"{strays.frames} frames"
+    verb = "is" if strays.frames == 1 else "are"
+    return f"{number} of {sender} {verb} stamped {_ahead(strays)} the rest: left out"
+
+
+def _ahead(strays: Strays) -> str:
+    if strays.most_ns < 0:
+        return f"{_between(-strays.most_ns, -strays.least_ns)} behind"
+    if strays.least_ns > 0:
+        return f"{_between(strays.least_ns, strays.most_ns)} ahead of"
+    return f"up to {_between(0, -strays.least_ns)} behind and {_between(0, strays.most_ns)} ahead of"
+
+
+def _between(least_ns: int, most_ns: int) -> str:
+    unit_ns, unit = (DAY_NS, "days") if most_ns >= 2 * DAY_NS else (1_000_000_000, "s")
+    least, most = f"{least_ns / unit_ns:.1f}", f"{most_ns / unit_ns:.1f}"
+    return f"{most} {unit}" if least == most or not least_ns else f"{least} to {most} {unit}"
+
+
+def _side(time: LogTime, frame: Frame) -> int:
+    """Where the frame is: 0 at the log's time, -1 before it, 1 after it."""
+    if not time.latest_ns:
+        return 0
+    if frame.t_ns < time.latest_ns - OUT_OF_ORDER_NS:
+        return -1
+    # A frame that waited in a queue is no sign of a silence.
+    return 1 if min(frame.rx_ns, frame.t_ns) > time.latest_ns + _usual_gap_ns(time) else 0
+
+
+def _usual_gap_ns(time: LogTime) -> int:
+    """How much later than the one before a frame may be."""
+    if time.in_time < 2:
+        return SILENCE_NS
+    return min(SILENCE_NS, max(OUT_OF_ORDER_NS, 2 * time.gap_ns))
+
+
+def _support(time: LogTime, frame: Frame) -> None:
+    """Count a frame at the log's time."""
+    if time.in_time < ESTABLISHED and not time.begun:
+        sender = _sender(frame)
+        time.first[sender] = time.first.get(sender, 0) + 1
+    time.in_time += 1
+    if time.in_time % COARSE_AFTER == 0 and time.step_ns >= COARSE_NS and not time.coarse:
+        time.coarse = True
+        steps = (
+            "whole seconds" if time.step_ns % 1_000_000_000 == 0 else f"steps of {time.step_ns * 1e-9:g} s"
         )
+        text = f"the stamps of the log are {steps}: what came within one cannot be told apart in time"
+        time.news.append(("coarse_stamps", f"{text}; record with finer ones"))
+    if time.in_time == ESTABLISHED:
+        time.begun = True
+        time.first.clear()
+
+
+def _sender(frame: Frame) -> str:
+    if frame.extended:
+        return f"source {frame.can_id & 0xFF} on {frame.bus}"
+    return f"identifier 0x{frame.can_id:X} on {frame.bus}"
+
+
+def _off_time_frame(time: LogTime, frame: Frame, side: int) -> int | None:
+    """Take a frame at another time: a stray one, or one more of a series. Returns as `take_stamp`."""
+    at_ns = frame.t_ns if side < 0 else min(frame.rx_ns, frame.t_ns)
+    off_time = time.off_time.get(frame.bus)
+    if off_time is not None and not _belongs(off_time, at_ns, side):
+        off_time.votes -= 1
+        if off_time.votes > 0:
+            _count(time.strays, frame, at_ns - time.latest_ns)
+            time.stray += 1
+            return None
+        _drop(time, frame.bus)
+        off_time = None
+    if off_time is None:
+        off_time = time.off_time[frame.bus] = OffTimeFrames(
+            time.latest_ns, at_ns, at_ns, at_ns, SILENCE_NS, time.passed_ns, ahead_ns=at_ns - time.latest_ns
+        )
+    # If its bus goes on in order, that bus has another clock.
+    in_order = at_ns >= time.bus_ns.get(frame.bus, 0) - OUT_OF_ORDER_NS
+    needed_ns = LATER_LASTS_NS if side > 0 else SILENCE_NS if in_order else EARLIER_LASTS_NS
     off_time.needed_ns = min(needed_ns, off_time.needed_ns)
-    if _extend(off_time, at_ns):
-        return _accept_jump(time, off_time, frame)
-    off_time.stray += 1
+    interval_ns = _extend(off_time, at_ns)
+    _count(off_time.strays, frame, at_ns - time.latest_ns)
     time.stray += 1
-    return None
+    if _others_go_on(off_time):
+        _align(time, off_time, frame, at_ns - time.latest_ns, interval_ns)
+        return None
+    return _accept_jump(time, off_time, frame) if _outnumber(time, off_time) else None
 
 
-def _extend(off_time: OffTimeFrames, at_ns: int) -> bool:
-    """Add one more frame to the series. Returns whether it has lasted long enough to be accepted."""
-    if at_ns < off_time.from_ns and (
-        at_ns > off_time.latest_ns + LONE_FRAME_NS
-        or (not off_time.lasted_ns and at_ns < off_time.latest_ns - LONE_FRAME_NS)
-    ):
-        off_time.since_ns = off_time.latest_ns = at_ns
-    off_time.lasted_ns += min(max(0, at_ns - off_time.last_ns), LONGEST_INTERVAL_NS)
+def _belongs(off_time: OffTimeFrames, at_ns: int, side: int) -> bool:
+    """Whether a frame goes on from a series of frames at another time. Later ones may be rare."""
+    later = off_time.since_ns > off_time.from_ns
+    if later != (side > 0) or at_ns < off_time.latest_ns - OUT_OF_ORDER_NS:
+        return False
+    return later or at_ns <= off_time.latest_ns + LONE_FRAME_NS
+
+
+def _extend(off_time: OffTimeFrames, at_ns: int) -> int:
+    """Add one more frame to the series. Returns by how much longer it has lasted, ns."""
+    interval_ns = min(max(0, at_ns - off_time.last_ns), LONGEST_INTERVAL_NS)
+    off_time.lasted_ns += interval_ns
     off_time.latest_ns = max(at_ns, off_time.latest_ns)
     off_time.last_ns = at_ns
-    return off_time.lasted_ns >= off_time.needed_ns
+    off_time.votes += 1
+    return interval_ns
 
 
-def _in_time_again(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
+def _others_go_on(off_time: OffTimeFrames) -> bool:
+    """Whether other buses are at the log's time; single frames may have been late."""
+    return off_time.others > max(2, off_time.votes // 50)
+
+
+def _outnumber(time: LogTime, off_time: OffTimeFrames) -> bool:
+    """Whether the frames at another time are the many, and no other bus goes on at the log's time."""
+    if _others_go_on(off_time):
+        return False
+    later = off_time.since_ns > off_time.from_ns
+    certain = off_time.votes >= CERTAIN and len(off_time.strays) > 1
+    if time.in_time < ESTABLISHED:
+        lasted = off_time.lasted_ns >= LATER_LASTS_NS
+        return off_time.votes > time.in_time and (certain or lasted)
+    if later and certain:
+        return True
+    return off_time.votes >= ESTABLISHED and off_time.lasted_ns >= off_time.needed_ns
+
+
+def _in_time_again(time: LogTime, frame: Frame) -> int:
     """Take a frame at the log's time after frames at another time. Returns as `take_stamp`.
 
-    Those were stray, unless this frame continues them without a gap: then the log has stepped back by little,
+    It speaks against those, unless it continues them without a gap: then the log has stepped back by little,
     and their stamps have caught up with its time before the step.
     """
-    by_ns = off_time.since_ns - off_time.from_ns
-    if by_ns > 0 or frame.t_ns - off_time.latest_ns > min(LONGEST_INTERVAL_NS, -by_ns // 2):
-        time.off_time = None
-    elif _extend(off_time, frame.t_ns):
-        return _accept_jump(time, off_time, frame)
+    own = time.off_time.get(frame.bus)
+    if own is not None:
+        by_ns, latest_ns = own.since_ns - own.from_ns, max(one.latest_ns for one in time.off_time.values())
+        if by_ns < 0 and frame.t_ns - latest_ns <= min(LONGEST_INTERVAL_NS, -by_ns // 2):
+            _extend(own, frame.t_ns)
+            return _accept_jump(time, own, frame) if _outnumber(time, own) else 0
+        own.votes -= 1
+        if own.votes <= 0:
+            _drop(time, frame.bus)
+    for off_time in time.off_time.values():
+        off_time.others += off_time is not own
     return 0
+
+
+def _align(time: LogTime, off_time: OffTimeFrames, frame: Frame, ahead_ns: int, interval_ns: int) -> None:
+    """See whether a bus stays away from the log's time by the same amount; then it has another clock.
+
+    ahead_ns: how far this frame is ahead of the log's time. interval_ns: time from the frame before it.
+    """
+    off_time.aligned_ns += interval_ns
+    if abs(ahead_ns - off_time.ahead_ns) > OUT_OF_ORDER_NS:
+        off_time.ahead_ns, off_time.aligned_ns = ahead_ns, 0
+    off_time.ahead_ns = min(ahead_ns, off_time.ahead_ns)
+    enough = off_time.votes >= ESTABLISHED and off_time.others >= ESTABLISHED
+    if not enough or off_time.aligned_ns < EARLIER_LASTS_NS:
+        return
+    before_ns = time.offset_ns.get(frame.bus, 0)
+    offset_ns = time.offset_ns[frame.bus] = before_ns - off_time.ahead_ns
+    time.bus_ns[frame.bus] = off_time.latest_ns - off_time.ahead_ns
+    del time.off_time[frame.bus]
+    _merge(time, off_time)
+    side = "behind" if offset_ns > 0 else "ahead of"
+    time.news.append(
+        (
+            "other_clock",
+            f"the clock of {frame.bus} is {_between(0, abs(offset_ns))} {side} that of the other buses: "
+            "it is aligned by the order of the frames in the log",
+        )
+    )
+
+
+def _follow(time: LogTime, frame: Frame) -> None:
+    """Follow the drift of buses with another clock: in the log, no frame comes before an earlier one."""
+    others = [ns for bus, ns in time.bus_ns.items() if bus != frame.bus]
+    if frame.bus in time.offset_ns:
+        behind_ns = max(others, default=0) - frame.t_ns
+        time.offset_ns[frame.bus] += min(max(behind_ns, 0), SLEW_NS)
+        return
+    for bus in time.offset_ns:
+        ahead_ns = time.bus_ns.get(bus, 0) - frame.t_ns
+        time.offset_ns[bus] -= min(max(ahead_ns, 0), SLEW_NS)
 
 
 def _accept_jump(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
     """Set the log's time to that of the series. Returns the jump, ns."""
     by_ns = off_time.since_ns - off_time.from_ns
-    time.passed_ns = off_time.passed_ns + off_time.latest_ns - off_time.since_ns
-    time.silent_ns += max(0, by_ns)
-    time.stray -= off_time.stray  # they were not stray: they were the first with the new time
+    lasted_ns = off_time.latest_ns - off_time.since_ns
+    time.misled = not time.begun and (by_ns < 0 or by_ns > DAY_NS)
+    if time.misled:  # what came first was the exception
+        for sender, frames in time.first.items():
+            time.strays[sender] = Strays(frames, -by_ns, -by_ns)
+            time.stray += frames
+            _tell(time, sender)
+        time.passed_ns = lasted_ns
+    else:
+        silent = by_ns >= SILENCE_NS
+        time.passed_ns = off_time.passed_ns + lasted_ns + (by_ns if by_ns > 0 and not silent else 0)
+        time.silent_ns += by_ns if silent else 0
     time.latest_ns = max(frame.t_ns, off_time.latest_ns)
     time.bus_ns = {frame.bus: time.latest_ns}
-    time.off_time = None
+    if by_ns > 0:
+        time.step_ns = min(time.step_ns or by_ns, by_ns)
+    time.gap_ns = by_ns if 0 < by_ns < SILENCE_NS else 0
+    time.in_time, time.begun = off_time.votes if off_time.votes >= ESTABLISHED else 1, True
+    time.first.clear()
+    for bus, other in list(
+        time.off_time.items()
+    ):  # they were not stray: they were the first with the new time
+        if other is off_time or abs(other.latest_ns - time.latest_ns) <= OUT_OF_ORDER_NS:
+            time.stray -= sum(strays.frames for strays in other.strays.values())
+            del time.off_time[bus]
+        else:
+            _drop(time, bus)
     return by_ns
+
+
+def _count(strays: dict[str, Strays], frame: Frame, ahead_ns: int) -> None:
+    one = strays.setdefault(_sender(frame), Strays(0, ahead_ns, ahead_ns))
+    one.frames += 1
+    one.least_ns, one.most_ns = min(ahead_ns, one.least_ns), max(ahead_ns, one.most_ns)
+
+
+def _drop(time: LogTime, bus: str) -> None:
+    """The frames of a series were stray."""
+    off_time = time.off_time.pop(bus)
+    _merge(time, off_time)
+    for sender in off_time.strays:
+        _tell(time, sender)
+
+
+def _merge(time: LogTime, off_time: OffTimeFrames) -> None:
+    time.strays = _sum(time.strays, off_time.strays)
+
+
+def _sum(one: dict[str, Strays], other: dict[str, Strays]) -> dict[str, Strays]:
+    out = dict(one)
+    for sender, strays in other.items():
+        known = out.get(sender, Strays(0, strays.least_ns, strays.most_ns))
+        out[sender] = Strays(
+            known.frames + strays.frames,
+            min(known.least_ns, strays.least_ns),
+            max(known.most_ns, strays.most_ns),
+        )
+    return out
+
+
+def _all_strays(time: LogTime) -> dict[str, Strays]:
+    strays = time.strays
+    for off_time in time.off_time.values():
+        strays = _sum(strays, off_time.strays)
+    return strays
+
+
+def _tell(time: LogTime, sender: str) -> None:
+    """An event for the first stray frames of a sender, and whenever they have become ten times as many."""
+    strays = time.strays[sender]
+    if strays.frames >= time.told.get(sender, 1):
+        time.told[sender] = 10 * strays.frames
+        time.news.append(("other_time", in_words(sender, strays)))

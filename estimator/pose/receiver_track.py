@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
 from tilth.estimator.pose.geometry import Vector, wrap
+from tilth.estimator.pose.position_rate import PositionRate, observe
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -65,6 +66,8 @@ class Track:
     position_pgn: int = 0  # the message that its positions come from: the most frequent one that it sends
     last_position_ns: int = 0  # arrival of the last position that was new, or repeated at standstill
     repeated_ns: int = 0  # arrival of the last position that was repeated while moving
+    repeated_epoch_ns: int = 0  # of that position: what is sent with it repeats, too
+    rate: PositionRate = field(default_factory=PositionRate)
     smoothed: bool = False  # its turn rates are smoothed (receiver_checks): they are stored, but not used
     left_out: bool = False  # it has been moved (watch): it is stored, but not used
 
@@ -74,16 +77,16 @@ class Track:
         t_ns = epoch_ns - self.latency_ns
         match measurement:
             case Velocity(course=course, speed=speed, sd=sd):
-                self.velocities.append((t_ns, speed * math.cos(course), speed * math.sin(course), sd))
+                self._add(self.velocities, (t_ns, speed * math.cos(course), speed * math.sin(course), sd))
             case YawRate(yaw_rate=rate, sd=sd):
-                self.yaw_rates.append((t_ns, self.yaw_rate_sign * rate, sd))
+                self._add(self.yaw_rates, (t_ns, self.yaw_rate_sign * rate, sd))
             case Attitude(roll=roll, pitch=pitch, sd=sd):
                 if roll is not None:
-                    self.rolls.append((t_ns, self.roll_sign * roll - self.roll_zero, sd))
+                    self._add(self.rolls, (t_ns, self.roll_sign * roll - self.roll_zero, sd))
                 if pitch is not None:
-                    self.pitches.append((t_ns, pitch, sd))
+                    self._add(self.pitches, (t_ns, pitch, sd))
             case Heading(heading=heading, sd=sd):
-                self.headings.append((t_ns, heading, sd))
+                self._add(self.headings, (t_ns, heading, sd))
             case Fix(fix=fix):
                 self.fix, self.fix_ns = fix, measurement.rx_ns
             case UtcTime(utc_ns=utc_ns, sd=sd):
@@ -91,14 +94,21 @@ class Track:
             case _:
                 pass
 
+    def _add(self, samples: deque[Stamped], sample: Stamped) -> None:
+        """Store a sample, unless it repeats the one before together with a repeated position."""
+        epoch_ns = sample[0] + self.latency_ns
+        if epoch_ns != self.repeated_epoch_ns or not samples or samples[-1][1:] != sample[1:]:
+            samples.append(sample)
+
     def take_position(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
         """Store a position (north, east), m. A repeated one counts as new only at standstill."""
         t_ns = self.clock.position(rx_ns) - self.latency_ns
-        if repeat:
-            moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
-            if moving:
-                self.repeated_ns = rx_ns
-                return
+        moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
+        if moving:
+            observe(self.rate, rx_ns, repeat)
+        if repeat and moving:
+            self.repeated_ns, self.repeated_epoch_ns = rx_ns, t_ns + self.latency_ns
+            return
         if self.positions and t_ns <= self.positions[-1][0]:
             return
         self.last_position_ns = rx_ns

@@ -1,4 +1,7 @@
-"""Opens the buses of the machine file, for listening only, and explains why one cannot be opened."""
+"""Opens the buses of the machine file, and explains why one cannot be opened.
+
+For listening only, unless the file allows to ask for NAMEs.
+"""
 
 import difflib
 import errno
@@ -8,12 +11,12 @@ from typing import Any
 
 import can
 
-from tilth.logger.can import slcan, socketcan
+from tilth.logger.can import claim_request, slcan, socketcan
 from tilth.logger.can.port import LibraryPort, Port, Tally
 from tilth.logger.clock import Clock
 from tilth.schemas.machine import Bus, MachineError
 
-# What makes an interface listen without acknowledging, where python-can can ask for it; nothing is ever sent.
+# What makes an interface listen without acknowledging, where python-can can ask for it; nothing is sent then.
 # The machine file's own options go over these.
 LISTEN_ONLY: Mapping[str, Mapping[str, Any]] = {
     "kvaser": {"driver_mode": False},
@@ -62,9 +65,14 @@ def open_port(config: Bus, clock: Clock, tally: Tally) -> Port:
         socketcan.check(config)
     elif config.interface == "socketcand":
         _server_answers(config)
-    arguments = {"bitrate": config.bitrate, **LISTEN_ONLY.get(config.interface, {}), **config.options}
+    quiet = {} if config.request_claims else LISTEN_ONLY.get(config.interface, {})
+    arguments = {"bitrate": config.bitrate, **quiet, **config.options}
     bus = can.Bus(channel=config.channel, interface=config.interface, ignore_config=True, **arguments)
-    return LibraryPort(bus, config, clock, tally)
+    port = LibraryPort(bus, config, clock, tally)
+    if config.request_claims:
+        request = can.Message(arbitration_id=claim_request.IDENTIFIER, data=claim_request.DATA)
+        port.note = claim_request.ask(lambda: bus.send(request))
+    return port
 
 
 def why_not(error: BaseException, config: Bus) -> str:

@@ -96,11 +96,12 @@ class Port(Protocol):
 class LibraryPort:
     """A python-can bus."""
 
-    note = problem = ""
+    problem = ""
     renewable = True
 
     def __init__(self, bus: can.BusABC, config: Bus, clock: Clock, tally: Tally) -> None:
         self.bus = bus
+        self.note = ""
         self.stamp = StampedBy.KERNEL if config.interface in _BY_KERNEL else StampedBy.DRIVER
         self._name = config.name
         self._clock = clock

@@ -11,6 +11,7 @@ import termios
 import time
 from typing import NoReturn
 
+from tilth.logger.can import claim_request
 from tilth.logger.can.adapter_clock import AdapterClock
 from tilth.logger.can.can_errors import ERRORS, ControllerState
 from tilth.logger.can.port import StampedBy, Tally
@@ -149,10 +150,13 @@ def open_slcan(config: Bus, clock: Clock, tally: Tally) -> SlcanPort:
         time.sleep(float(config.options.get("sleep_after_open", SETTLE_S)))
         os.write(descriptor, b"\r\rC\r")  # an unfinished command before it is ended, an open channel closed
         termios.tcflush(descriptor, termios.TCIFLUSH)
-        listen = bool(config.options.get("listen_only", True))
+        listen = bool(config.options.get("listen_only", not config.request_claims))
         os.write(
             descriptor, b"S%d\r%s\r" % (_KILOBITS.index(config.bitrate // 1000), b"L" if listen else b"O")
         )
+        if config.request_claims:
+            length, data = len(claim_request.DATA), claim_request.DATA.hex().upper()
+            os.write(descriptor, b"T%08X%d%s\r" % (claim_request.IDENTIFIER, length, data.encode()))
     except BaseException:
         os.close(descriptor)
         raise

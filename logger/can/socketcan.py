@@ -9,7 +9,7 @@ import socket
 import struct
 import time
 
-from tilth.logger.can import can_link, receive_buffer
+from tilth.logger.can import can_link, claim_request, receive_buffer
 from tilth.logger.can.adapter_clock import AdapterClock
 from tilth.logger.can.can_errors import STATES
 from tilth.logger.can.kernel_stamp import STAMP, TIMESTAMPNS, stamp_ns
@@ -172,10 +172,18 @@ def open_socketcan(config: Bus, clock: Clock, tally: Tally) -> SocketCanPort:
         time.sleep(STAMPS_S)  # nothing tells when it has begun
         _bind(one, config)
         port.ask(clock.t_ns())
+        if config.request_claims:
+            port.note = claim_request.ask(lambda: ask_for_claims(one)) or port.note
     except BaseException:
         one.close()
         raise
     return port
+
+
+def ask_for_claims(one: socket.socket) -> None:
+    """Raises OSError."""
+    data = claim_request.DATA
+    one.send(CAN_FRAME.pack(claim_request.IDENTIFIER | EXTENDED, len(data), data))
 
 
 def check(config: Bus) -> None:

@@ -11,7 +11,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import manufacturer_name
 from tilth.schemas.flow import Frame, Mount, Position, WheelAngle
 from tilth.schemas.identity import split_name
-from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.machine import Bus, Machine, Receiver
 from tilth.schemas.messages import PGNS
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
 
@@ -97,10 +97,28 @@ class Devices:
         for receiver in self._machine.receiver:
             yield self._receiver(receiver)
         yield self._wheel()
+        for _, text in self._measurement_decoder.addresses.news:
+            yield CheckFinding("device names", Level.PROBLEM, text)
+        silent = sorted({bus.name for bus in self._machine.bus if self._unclaimed(bus)})
+        if silent:
+            hint = (
+                "set request_claims = true in its [[bus]], and they are asked (one frame when it is opened)"
+            )
+            text = (
+                f"no address claim is heard on {', '.join(silent)}: devices claim when they are switched on"
+            )
+            yield CheckFinding("device names", Level.NOTE, f"{text}; {hint}")
         for sender in self._strangers():
             if sender.positions:
                 text = f"{sender} sends positions and is none of the file's receivers"
                 yield CheckFinding("other receiver", Level.NOTE, text)
+
+    def _unclaimed(self, bus: Bus) -> bool:
+        """Whether a receiver is looked for by NAME on a bus on which nobody tells one, nor is asked."""
+        named = any(r.bus == bus.name and r.name is not None for r in self._machine.receiver)
+        told = any(s.bus == bus.name and s.name is not None for s in self._senders.values())
+        heard = any(s.bus == bus.name and s.frames for s in self._senders.values())
+        return named and heard and not told and not bus.request_claims
 
     def _receiver(self, receiver: Receiver) -> CheckFinding:
         what, maker = f"receiver {receiver.mount}", receiver.manufacturer

@@ -6,7 +6,7 @@ buses were silent for [log] ignition_off_s. Its files are <machine>_<UTC>_<part>
 
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tilth.logger.back_off import BackOff
@@ -15,12 +15,14 @@ from tilth.logger.log import recovery
 from tilth.logger.log.counts import RecordedCounts
 from tilth.logger.log.disk import Disk
 from tilth.logger.log.lock import UNLOCKED
-from tilth.logger.log.mcap_log import ClockReason
+from tilth.logger.log.mcap_log import ClockReason, machine_sha256
 from tilth.logger.log.open_file import OpenFile
 from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderStates
 from tilth.logger.log.room import Room
 from tilth.logger.log.run_files import Report, RunFiles
+from tilth.schemas.channels import ADDRESSES_TOPIC, encode_addresses
 from tilth.schemas.flow import Frame
+from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 
 FLUSH_NS = 400_000_000  # with a turn of the loop and the sync itself, no frame waits a second for the disk
@@ -43,13 +45,15 @@ class Recording:
         report: Report,
         renew: Callable[[], str],
         *,
+        addresses: Callable[[], Sequence[KnownAddress]] = tuple,
         with_state: bool = False,
         note: str = "",
         simulated: str = "",
     ) -> None:
         """renew: gives the fold's state as text and makes the fold go on from just that text. It is called
         before each file that does not begin where the fold did, so that the file replays alone; before the
-        first only `with_state`. note, simulated: as of RunPart.
+        first only `with_state`. addresses: who has which address, for the head of each file. note, simulated:
+        as of RunPart.
         """
         self.counts = RecordedCounts()
         self._machine = machine
@@ -57,6 +61,7 @@ class Recording:
         self._clock = clock
         self._report = report
         self._renew = renew
+        self._addresses = addresses
         self._states = RecorderStates(report)
         self._disk = Disk(folder)
         self._room = Room(folder, machine.log, report)
@@ -291,6 +296,9 @@ class Recording:
             self._fail(file, spool.error)
             return
         file.writer.clocks(self._clock, ClockReason.NEW_FILE if run.part > 1 else ClockReason.START)
+        if known := self._addresses():
+            data = encode_addresses(self._now_ns, known, machine_sha256(self._machine, self._machine_text))
+            file.writer.message(ADDRESSES_TOPIC, self._now_ns, data)
         if with_state:
             file.writer.snapshot(self._now_ns, self._renew())
         while self._retained:

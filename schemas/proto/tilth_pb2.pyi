@@ -314,6 +314,29 @@ class Accepted(_message.Message):
     sds: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, t_ns: _Optional[int] = ..., what: _Optional[str] = ..., amounts: _Optional[_Iterable[float]] = ..., sds: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class Addresses(_message.Message):
+    __slots__ = ("t_ns", "known", "machine_sha256")
+    class Known(_message.Message):
+        __slots__ = ("bus", "source", "name", "mount", "last_ns")
+        BUS_FIELD_NUMBER: _ClassVar[int]
+        SOURCE_FIELD_NUMBER: _ClassVar[int]
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        MOUNT_FIELD_NUMBER: _ClassVar[int]
+        LAST_NS_FIELD_NUMBER: _ClassVar[int]
+        bus: str
+        source: int
+        name: int
+        mount: str
+        last_ns: int
+        def __init__(self, bus: _Optional[str] = ..., source: _Optional[int] = ..., name: _Optional[int] = ..., mount: _Optional[str] = ..., last_ns: _Optional[int] = ...) -> None: ...
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    KNOWN_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    known: _containers.RepeatedCompositeFieldContainer[Addresses.Known]
+    machine_sha256: str
+    def __init__(self, t_ns: _Optional[int] = ..., known: _Optional[_Iterable[_Union[Addresses.Known, _Mapping]]] = ..., machine_sha256: _Optional[str] = ...) -> None: ...
+
 class Event(_message.Message):
     __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg", "utc_ns")
     T_NS_FIELD_NUMBER: _ClassVar[int]

@@ -56,7 +56,7 @@ def test_the_json_summary(live: Live, answer: Answer) -> None:
     found = json.loads(out)
     assert list(found) == [
         "frames", "measurements", "rejected", "poses", "duration_s", "truncated", "unknown_sources",
-        "events", "flags", "estimates", "nuisances", "verify", "simulated",
+        "left_out", "events", "flags", "estimates", "nuisances", "verify", "simulated",
     ]  # fmt: skip
     assert found["frames"] == len(live.rows)
     assert found["truncated"] is False

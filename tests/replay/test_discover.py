@@ -20,6 +20,8 @@ from tilth.replay.discover import BusSurvey, Findings
 from tilth.replay.machine_draft import FILL_IN, draft
 from tilth.replay.readers.any_log import frames
 from tilth.replay.wheel_search import WheelCandidate, candidates
+from tilth.schemas import can_id
+from tilth.schemas.decode import claim
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine import Bus, Machine
 from tilth.schemas.machine_toml import parse_machine
@@ -412,3 +414,36 @@ def test_it_listens_and_never_sends(machine: Machine, capsys: pytest.CaptureFixt
     assert answer["frames"] > 1000
     assert answer["buses"] == ["talk"]
     assert sent == []
+
+
+def _twins(machine: Machine) -> Iterator[Frame]:
+    """The rear receiver of the implement has the NAME of the front one."""
+    names = {r.mount: r.name for r in machine.receiver}
+    one, other = names[Mount.IMPLEMENT_FRONT], names[Mount.IMPLEMENT_REAR]
+    assert one is not None and other is not None
+    for frame in simulate(machine, 1, 6.0):
+        yield replace(frame, data=claim(one)) if frame.data == claim(other) else frame
+
+
+def test_where_two_devices_have_one_name_the_draft_gives_their_addresses(machine: Machine) -> None:
+    findings = _findings(_twins(machine))
+    assert [s.source for s in findings.receivers if s.shares_name] == [70, 129]
+    text = draft(findings, [])
+    assert text.count("# two devices claim NAME C07891000B002711: it identifies neither") == 2
+    drafted = parse_machine(_filled(text))
+    assert [(r.name is None, r.source) for r in drafted.receiver if r.source] == [(True, 70), (True, 129)]
+
+
+def test_a_device_that_changes_its_address_is_drafted_once(machine: Machine) -> None:
+    frames = list(simulate(machine, 1, 6.0))
+    moved = can_id.join(6, 60928, 140)
+    half = frames[len(frames) // 2]
+    name = next(r.name for r in machine.receiver if r.mount is Mount.IMPLEMENT_REAR)
+    assert name is not None
+    late = [
+        replace(f, can_id=f.can_id - 129 + 140) if f.can_id & 0xFF == 129 else f
+        for f in frames[len(frames) // 2 :]
+    ]
+    said = replace(half, can_id=moved, extended=True, data=claim(name))
+    text = draft(_findings(iter([*frames[: len(frames) // 2], said, *late])), [])
+    assert text.count(f"{name:016X}") == 1 and text.count("[[receiver]]") == 4

@@ -8,7 +8,7 @@ from paths import ROOT
 from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import AddressClaim, Frame, Mount, Position
-from tilth.schemas.identity import split_name
+from tilth.schemas.identity import KnownAddress, split_name
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 
@@ -351,3 +351,87 @@ def test_the_book_survives_a_restart_in_every_state() -> None:
             for source_asked in (28, 129, 130):
                 assert one.position_of(source_asked) == other.position_of(source_asked)
         assert one.decoder.dump() == other.decoder.dump()
+
+
+# ---- two devices with one NAME, and what is known without a claim ----
+
+SOURCES = machine(f'mount = "{FRONT.value}"\nsource = 28', f'mount = "{REAR.value}"\nsource = 129')
+TWINS = [
+    (SOURCES, (FRONT, LOW), (REAR, LOW)),
+    (
+        machine(named(FRONT, LOW, "source = 28"), f'mount = "{REAR.value}"\nsource = 129'),
+        (FRONT, LOW),
+        (REAR, LOW),
+    ),
+    (machine(named(FRONT, LOW, "source = 28"), named(REAR, LOW, "source = 129")), (FRONT, LOW), (REAR, LOW)),
+    (BOTH, "twin_name", "twin_name"),
+]
+
+
+@pytest.mark.parametrize(("rig", "front", "rear"), TWINS)
+@pytest.mark.parametrize("again", [False, True])
+def test_two_devices_with_one_name_stay_with_their_addresses(
+    rig: Machine, front: object, rear: object, again: bool
+) -> None:
+    bus = Bus(rig)
+    bus.claim(28, LOW)
+    bus.claim(129, LOW)
+    assert bus.position_of(129) != (FRONT, LOW) or rig is BOTH  # one device that has moved, or two?
+    bus.at_ms += 300
+    if again:
+        bus.claim(28, LOW)
+        bus.claim(129, LOW)
+        bus.at_ms += 300
+    for _ in range(2):
+        assert (bus.position_of(28), bus.position_of(129)) == (front, rear)
+        bus.claim(28, LOW)
+        bus.claim(129, LOW)
+    ((kind, text),) = bus.decoder.addresses.news
+    assert kind == "twin_name" and f"two devices claim NAME {LOW:016X} (addresses " in text
+    assert bus.decoder.addresses.twins == {("can0", LOW)}
+    stored = json.loads(json.dumps(bus.decoder.dump()))
+    bus.decoder = Decoder(rig)
+    bus.decoder.load(stored)
+    assert (bus.position_of(28), bus.position_of(129)) == (front, rear)
+
+
+def test_a_device_that_moves_is_no_pair_of_twins() -> None:
+    bus = Bus(BOTH)
+    bus.claim(28, LOW)
+    bus.claim(130, LOW)
+    bus.at_ms += 10_000
+    assert bus.position_of(130) == (FRONT, LOW)
+    bus.claim(28, HIGH)  # takes what is free
+    assert bus.position_of(28) == (REAR, HIGH)
+    assert not bus.decoder.addresses.twins and not bus.decoder.addresses.news
+
+
+def test_what_is_known_without_a_claim_holds_until_one_is_heard() -> None:
+    bus = Bus(BOTH)
+    book = bus.decoder.addresses
+    assert book.unplaced == {FRONT, REAR}
+    assert book.recall(KnownAddress("can0", 28, LOW, FRONT, 1)) == FRONT
+    assert book.recall(KnownAddress("can0", 40, STRANGER_LOW, None, 1)) is None
+    assert bus.position_of(28) == (FRONT, LOW) and book.unplaced == {REAR}
+    assert bus.decoder.origin("can0", 40).name == STRANGER_LOW
+    stored = json.loads(json.dumps(bus.decoder.dump()))
+    bus.decoder = Decoder(BOTH)
+    bus.decoder.load(stored)
+    book = bus.decoder.addresses
+    assert bus.position_of(28) == (FRONT, LOW)
+    bus.claim(28, HIGH)
+    assert bus.position_of(28) == (REAR, HIGH) and book.unplaced == {FRONT}
+    assert book.recall(KnownAddress("can0", 28, LOW, FRONT, 1)) is None  # a claim was heard
+    book.place(KnownAddress("can0", 131, None, FRONT))
+    assert bus.position_of(131) == (FRONT, None)
+    bus.claim(132, LOW)
+    assert bus.position_of(132) == (FRONT, LOW) and bus.position_of(131) == "unknown_source"
+
+
+@pytest.mark.parametrize("sure", [True, False])
+def test_what_was_only_known_from_before_can_be_taken_back(sure: bool) -> None:
+    bus = Bus(BOTH)
+    book = bus.decoder.addresses
+    book.place(KnownAddress("can0", 28, LOW, FRONT, 0 if sure else 1))
+    assert book.displace() == ([] if sure else [FRONT])
+    assert bus.position_of(28) == ((FRONT, LOW) if sure else "unknown_source")

@@ -30,7 +30,17 @@ def test_all_where_none_is_wanted() -> None:
     assert choose([]) == NAMES and CAN in NAMES
     assert {topic for topic in CHANNEL if "drawing" not in topic} == set(TOPICS.values())
     held = choose([], on_clock=True)
-    without = {"measurement_address_claim", "event", "accepted", "fit", "ready", "rig", "report", "can"}
+    without = {
+        "measurement_address_claim",
+        "event",
+        "accepted",
+        "addresses",
+        "fit",
+        "ready",
+        "rig",
+        "report",
+        "can",
+    }
     assert set(NAMES) - set(held) == without
     assert all(0 < age_s(name) <= 3.0 for name in held)
     assert age_s("measurement_fix") == AGES_S["measurement_fix"] > age_s("measurement_position")

@@ -87,6 +87,19 @@ def test_without_claims_it_says_what_to_do() -> None:
     found = findings_of(simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False, claims=False)))
     one = found["receiver tractor_front"]
     assert one.state == Level.WARNING and "claim their address when they are switched on" in one.text
+    assert found["device names"].state == Level.NOTE and "request_claims = true" in found["device names"].text
+    asked = findings_of(
+        simulate(MACHINE, 1, SECONDS, Scenario(other_traffic=False, claims=False)),
+        ("bitrate = 250000", "bitrate = 250000\nrequest_claims = true"),
+    )
+    assert "device names" not in asked
+
+
+def test_two_devices_with_one_name_are_named(frames: list[Frame]) -> None:
+    one, other = (claim(int(name, 16)) for name in ("C07891000B002711", "C07891000B002712"))
+    found = findings_of(replace(f, data=one) if f.data == other else f for f in frames)
+    assert found["device names"].state == Level.PROBLEM
+    assert "two devices claim NAME C07891000B002711 (addresses " in found["device names"].text
 
 
 def test_a_receiver_on_another_bus(frames: list[Frame]) -> None:

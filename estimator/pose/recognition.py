@@ -1,0 +1,334 @@
+"""Which address is whose, where no address claim was heard: by what was known before, and by where they are.
+
+Devices claim their address when they are switched on. A program that begins to listen later, or is restarted
+while driving, hears no claim. What it knew before holds for as long as the devices have not been switched
+off; after that, receivers that are alike may have exchanged addresses. Then nothing is taken for granted:
+every assignment of the addresses that send positions to the receivers of the machine file is compared with
+the rig over some metres of travel, and the first pose waits for it.
+
+Each assignment has a log-likelihood: of both pairs' lengths and the gap at the hitch, of the turn rate that
+the wheel angle makes, and of the direction that the vehicle reports. A rig that is seen in reverse, front for
+rear and tractor for implement, has almost the same lengths: only steering, the vehicle's direction or a long
+way tell it apart.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import permutations
+from typing import Final
+
+from tilth.estimator.pose import plausibility
+from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.geometry import Vector, to_plane, wrap
+from tilth.estimator.pose.receiver_track import sample_at
+from tilth.schemas.flow import Mount, Position
+from tilth.schemas.identity import KnownAddress
+from tilth.schemas.machine import Machine
+
+TRAVEL: Final = 5.0  # m, before which nothing is decided
+HOPELESS: Final = 60.0  # m, after which it is said that nothing fits, or that it cannot be told
+CHUNK: Final = 0.4  # m between two comparisons: at rest the same errors would count again and again
+STEP_NS: Final = 200_000_000  # between two instants that may be compared
+LAG_NS: Final = 1_200_000_000  # how long after an instant its positions are there, also at 1 Hz
+LONGEST_NS: Final = 1_100_000_000  # between two positions
+MOST_CANDIDATES: Final = 6
+MISFIT_SD: Final = 0.2  # m: of latency, roll and survey together
+CORRELATED: Final = 2.0  # comparisons whose errors count as one
+WORST: Final = 4.0  # log-likelihood that one comparison may cost: a single wrong position decides nothing
+LATENCY_SD: Final = 0.03  # s: a point may be so much ahead of or behind its place along the path
+TURN_NS: Final = 1_000_000_000  # over which the change of heading is compared with the wheel angle
+TURN_SD: Final = 0.06  # rad in that time
+TURN_SHARE: Final = 0.3  # of the expected turn, by which it may be wrong: slip, wheel angle
+WHEEL_HOLD_NS: Final = 250_000_000
+REPORTED_NS: Final = 3_000_000_000  # age of the direction that the vehicle reports
+AGAINST: Final = 2.0  # log-likelihood that a comparison costs where the reported direction is the opposite
+BEFORE: Final = 6.0  # log-likelihood that every receiver is where it was before
+FORWARD: Final = 0.5  # log-likelihood of a metre forwards
+MOST_FORWARD: Final = 10.0
+CLEAR: Final = 8.0  # by which an assignment must be better than any other
+
+EVENT: Final = "addresses"
+Place = tuple[str, int]  # bus, source
+
+
+@dataclass(slots=True)
+class Heard:
+    """Positions from one address: arrival, ns, and m north and east of the plane's origin."""
+
+    bus: str
+    source: int
+    mount: Mount | None  # None: not known
+    pgn: int
+    positions: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=48))
+
+
+@dataclass(slots=True)
+class Assignment:
+    """One way in which the candidates may be the receivers whose address is not known."""
+
+    slots: list[int]  # for each of those receivers the candidate's index, or -1
+    likelihood: float = 0.0  # logarithm
+    squares: float = 0.0  # sum of squared misfits, m^2
+    forward: float = 0.0  # m travelled forwards, less those in reverse
+    turn: tuple[float, float] | None = None  # heading of the tractor, rad, and `forward` some time ago
+
+
+@dataclass(slots=True)
+class Recognition:
+    """State of the search."""
+
+    before: list[KnownAddress] = field(default_factory=list)  # from an earlier run, not decided on
+    heard: list[Heard] = field(default_factory=list)
+    origin_deg: tuple[float, float] | None = None
+    candidates: list[tuple[str, int]] = field(default_factory=list)
+    mounts: list[Mount] = field(default_factory=list)  # that are looked for
+    assignments: list[Assignment] = field(default_factory=list)
+    compared: int = 0
+    next_ns: int = 0
+    turn_ns: int = 0
+    travel: float = 0.0  # m
+    last: list[tuple[float, float]] = field(default_factory=list)  # the candidates at the last comparison
+    last_ns: int = 0
+    hopeless: bool = False  # which has been said
+
+
+def first_of_bus(state: Recognition, machine: Machine, bus: str, t_ns: int) -> list[KnownAddress]:
+    """Who has which address, known from before, on the first frame of a bus: if it has been silent for less
+    than ignition off, nobody was switched off. Otherwise that is an assumption, to be examined."""
+    limit_ns = machine.log.ignition_off_s * 1e9
+    sure = [k for k in state.before if k.bus == bus and k.last_ns and 0 <= t_ns - k.last_ns < limit_ns]
+    state.before = [
+        known if known.bus != bus else replace(known, last_ns=0)
+        for known in state.before
+        if known not in sure
+    ]
+    return sure
+
+
+def restart(state: Recognition) -> Recognition:
+    """Search from the beginning; what was known before stays an assumption."""
+    return Recognition(before=state.before)
+
+
+def take(state: Recognition, position: Position) -> None:
+    """Store a position of a candidate, or of a receiver that is known."""
+    origin = position.origin
+    heard = next((one for one in state.heard if (one.bus, one.source) == (origin.bus, origin.source)), None)
+    if heard is None:
+        heard = Heard(origin.bus, origin.source, origin.mount, position.pgn)
+        state.heard.append(heard)
+    if position.pgn > heard.pgn:  # the same position in a rarer message
+        return
+    heard.pgn, heard.mount = position.pgn, origin.mount
+    here = position.latitude_deg, position.longitude_deg
+    state.origin_deg = state.origin_deg or here
+    at = to_plane(state.origin_deg, *here)
+    before = heard.positions[-1] if heard.positions else None
+    if before is None or (position.rx_ns > before[0] and before[1:] != at):  # sent again: interpolated
+        heard.positions.append((position.rx_ns, *at))
+
+
+def search(
+    state: Recognition, aligner: Aligner, unplaced: frozenset[Mount], now_ns: int
+) -> tuple[list[KnownAddress], str]:
+    """Who the candidates are, and a sentence on it; ([], "") while it is not known.
+
+    A sentence alone says that it cannot be found out.
+    """
+    if not state.next_ns <= now_ns <= state.next_ns + 2 * LAG_NS:
+        state.next_ns = now_ns
+    if now_ns < state.next_ns + LAG_NS:
+        return [], ""
+    t_ns, state.next_ns = state.next_ns, state.next_ns + STEP_NS
+    found = [(one, at) for one in state.heard if (at := _at(one, t_ns)) is not None]
+    fixed = {one.mount: at for one, at in found if one.mount is not None}
+    points = {(one.bus, one.source): at for one, at in found if one.mount is None}
+    candidates, mounts = sorted(points)[:MOST_CANDIDATES], [m for m in Mount if m in unplaced]
+    if not candidates or not mounts:
+        return [], ""
+    if (state.candidates, state.mounts) != (candidates, mounts):
+        _begin(state, aligner.machine, candidates, mounts)
+    if not _moved_on(state, [points[place] for place in candidates], t_ns):
+        return [], ""
+    _compare(state, aligner, [points[place] for place in candidates], fixed, t_ns)
+    return _decide(state, aligner.machine)
+
+
+def _at(heard: Heard, t_ns: int) -> Vector | None:
+    """Where it was at t, if positions lie around."""
+    after = None
+    for sample in reversed(heard.positions):
+        if sample[0] <= t_ns:
+            if after is None or after[0] - sample[0] > LONGEST_NS:
+                return None
+            share = (t_ns - sample[0]) / (after[0] - sample[0])
+            return sample[1] + share * (after[1] - sample[1]), sample[2] + share * (after[2] - sample[2])
+        after = sample
+    return None
+
+
+def _begin(state: Recognition, machine: Machine, candidates: list[Place], mounts: list[Mount]) -> None:
+    """Begin anew with these candidates for these receivers."""
+    bus_of = {receiver.mount: receiver.bus for receiver in machine.receiver}
+    n, k = len(candidates), len(mounts)
+    if n >= k:
+        ways = [list(way) for way in permutations(range(n), k)]
+    else:
+        ways = []
+        for chosen in permutations(range(k), n):
+            way = [-1] * k
+            for candidate, mount in enumerate(chosen):
+                way[mount] = candidate
+            ways.append(way)
+    state.assignments = [
+        Assignment(way)
+        for way in ways
+        if all(i < 0 or candidates[i][0] == bus_of[m] for i, m in zip(way, mounts, strict=True))
+    ]
+    state.candidates, state.mounts, state.last = candidates, mounts, []
+    state.compared, state.travel, state.turn_ns = 0, 0.0, 0
+    expected = _before(state, machine)
+    for assignment in state.assignments:
+        slots = dict(zip(mounts, assignment.slots, strict=True))
+        if expected and all(slots.get(mount, -1) == i for mount, i in expected.items()):
+            assignment.likelihood = BEFORE
+
+
+def _before(state: Recognition, machine: Machine) -> dict[Mount, int]:
+    """Receiver -> index of the candidate that it was before."""
+    by_name = {(r.bus, r.name): r.mount for r in machine.receiver}
+    expected = {}
+    for known in state.before:
+        mount = known.mount if known.name is None else by_name.get((known.bus, known.name), known.mount)
+        if mount is not None and mount in state.mounts and (known.bus, known.source) in state.candidates:
+            expected[mount] = state.candidates.index((known.bus, known.source))
+    return expected
+
+
+def _moved_on(state: Recognition, points: list[Vector], t_ns: int) -> bool:
+    """Whether all have moved on since the last comparison; then this is the next one."""
+    if not state.last or t_ns - state.last_ns > 10 * TURN_NS:
+        state.last, state.last_ns = points, t_ns
+        return False
+    moved = min(math.dist(one, other) for one, other in zip(points, state.last, strict=True))
+    if moved < CHUNK:
+        return False
+    state.travel += moved
+    return True
+
+
+def _compare(
+    state: Recognition, aligner: Aligner, points: list[Vector], fixed: dict[Mount, Vector], t_ns: int
+) -> None:
+    """Add what this instant tells of each assignment."""
+    machine = aligner.machine
+    levers = {receiver.mount: receiver.position[:2] for receiver in machine.receiver}
+    c, d = machine.tractor.c.value, machine.implement.d.value
+    moved = [(p[0] - q[0], p[1] - q[1]) for p, q in zip(points, state.last, strict=True)]
+    way = sum(m[0] for m in moved) / len(moved), sum(m[1] for m in moved) / len(moved)
+    speed = math.hypot(*way) / max((t_ns - state.last_ns) * 1e-9, 0.1)
+    sd = math.hypot(MISFIT_SD, LATENCY_SD * speed)
+    reported = aligner.direction if abs(t_ns - aligner.direction_ns) < REPORTED_NS else 0
+    turned = t_ns - state.turn_ns >= TURN_NS
+    in_time = t_ns - state.turn_ns <= 2 * TURN_NS
+    wheel = [
+        sample_at(aligner.wheel, at, WHEEL_HOLD_NS)
+        for at in (state.turn_ns, (state.turn_ns + t_ns) // 2, t_ns)
+    ]
+    angles = [sample[0] for sample in wheel if sample is not None]
+    for one in state.assignments:
+        at = {m: points[i] for m, i in zip(state.mounts, one.slots, strict=True) if i >= 0} | fixed
+        misfit = plausibility.misfit(at, levers, c, d)
+        one.squares += misfit**2
+        one.likelihood -= min(misfit**2 / (2.0 * sd**2 * CORRELATED), WORST)
+        heading = _heading(at, levers)
+        if heading is None:
+            continue
+        ahead = way[0] * math.cos(heading) + way[1] * math.sin(heading)
+        one.forward += ahead
+        one.likelihood -= AGAINST if ahead * reported < 0 else 0.0
+        if not turned:
+            continue
+        if (
+            one.turn is not None
+            and in_time
+            and len(angles) == len(wheel)
+            and _pair(at, plausibility.PAIRS[0])
+        ):
+            length = machine.tractor.a.value + machine.tractor.b.value
+            expected = (one.forward - one.turn[1]) * math.tan(sum(angles) / len(angles)) / length
+            error = wrap(heading - one.turn[0] - expected)
+            likely = error**2 / (TURN_SD + TURN_SHARE * abs(expected)) ** 2 / 2.0
+            one.likelihood -= min(likely, WORST)
+        one.turn = heading, one.forward
+    if turned:
+        state.turn_ns = t_ns
+    state.compared += 1
+    state.last, state.last_ns = points, t_ns
+
+
+def _pair(at: Mapping[Mount, Vector], pair: tuple[Mount, Mount]) -> bool:
+    return pair[0] in at and pair[1] in at
+
+
+def _heading(at: Mapping[Mount, Vector], levers: Mapping[Mount, Vector]) -> float | None:
+    """Of the tractor, rad; else about, of the implement, or from one body to the other."""
+    for front, rear in plausibility.PAIRS:
+        if front in at and rear in at:
+            arm = levers[front][0] - levers[rear][0], levers[front][1] - levers[rear][1]
+            north, east = at[front][0] - at[rear][0], at[front][1] - at[rear][1]
+            return math.atan2(east, north) - math.atan2(arm[1], arm[0])
+    tractor = next((at[m] for m in plausibility.PAIRS[0] if m in at), None)
+    implement = next((at[m] for m in plausibility.PAIRS[1] if m in at), None)
+    if tractor is None or implement is None:
+        return None
+    return math.atan2(tractor[1] - implement[1], tractor[0] - implement[0])
+
+
+def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], str]:
+    if state.travel < TRAVEL or not state.assignments:
+        return [], ""
+    scores = sorted(
+        ((one.likelihood + _forwards(one), index) for index, one in enumerate(state.assignments)),
+        reverse=True,
+    )
+    best = state.assignments[scores[0][1]]
+    speed_smear = plausibility.SMEAR * LATENCY_SD * state.travel / max(state.compared, 1) / (STEP_NS * 1e-9)
+    fits = math.sqrt(best.squares / state.compared) < plausibility.MISFIT + speed_smear
+    if fits and (len(scores) == 1 or scores[0][0] - scores[1][0] > CLEAR):
+        return _found(state, machine, best)
+    if state.travel < HOPELESS or state.hopeless:
+        return [], ""
+    state.hopeless = True
+    places = ", ".join(f"{source} on {bus}" for bus, source in state.candidates)
+    why = "more than one assignment fits the rig" if fits else "none of their assignments fits the rig"
+    advice = "give them by source in the machine file, or switch them off and on"
+    return (
+        [],
+        f"no address claim was heard, and positions from addresses {places} tell nothing: {why}; {advice}",
+    )
+
+
+def _forwards(one: Assignment) -> float:
+    """Log-likelihood of the direction of travel: most ways are driven forwards."""
+    return max(-MOST_FORWARD, min(FORWARD * one.forward, MOST_FORWARD))
+
+
+def _found(state: Recognition, machine: Machine, best: Assignment) -> tuple[list[KnownAddress], str]:
+    names = {receiver.mount: receiver.name for receiver in machine.receiver}
+    rows = [
+        KnownAddress(*state.candidates[i], names[m], m)
+        for m, i in zip(state.mounts, best.slots, strict=True)
+        if i >= 0
+    ]
+    expected = _before(state, machine)
+    slots = dict(zip(state.mounts, best.slots, strict=True))
+    where = ", ".join(f"{row.mount} at address {row.source}" for row in rows)
+    way = f"over {state.travel:.1f} m of travel"
+    if not expected:
+        return rows, f"no address claim was heard: receivers are recognised by where they are {way}: {where}"
+    if all(slots.get(mount) == index for mount, index in expected.items()):
+        return rows, f"receivers have the addresses that they had before, as positions {way} confirm: {where}"
+    return rows, f"receivers have other addresses than before, as positions {way} show: {where}"
