@@ -89,7 +89,7 @@ class State:
     @property
     def rejected(self) -> dict[str, int]:
         """Reason -> count, of frames and measurements that were not used."""
-        counts = dict(self.decoder.rejected)
+        counts = self.decoder.rejected | self.aligner.screens.rejected
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
         if self.time.stray:
@@ -407,7 +407,10 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
     stays."""
     state.clock_steps += 1
+    screens = state.aligner.screens
     state.aligner = aligner.initial(state.machine)
+    state.aligner.screens = screens
+    screens.clock_stepped()
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     _exclude_smoothed_turn_rates(state)
     receiver_checks.clock_stepped(state.checks)

@@ -22,7 +22,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 18
+VERSION: Final = 19
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, Aligner, due
+from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
@@ -75,6 +75,7 @@ def _pose_at(state: Aligner, t_ns: int) -> Pose:
     for body in bodies:
         _solve_body(state, body, t_ns, flags)
     state.last_pose_ns = t_ns
+    state.moving = bodies[0].velocity is not None and abs(bodies[0].velocity[0]) >= UNDER_WAY
     return _assemble(state, bodies, t_ns, flags)
 
 

@@ -13,12 +13,14 @@ from typing import TypeVar
 
 from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
 from tilth.estimator.pose.geometry import Vector, wrap
+from tilth.estimator.pose.screen import Reading, Screens
 from tilth.schemas.flow import (
     Attitude,
     Fix,
     FixType,
     Heading,
     Measurement,
+    Position,
     UtcTime,
     Velocity,
     YawRate,
@@ -66,24 +68,34 @@ class Track:
     last_position_ns: int = 0  # arrival of the last position that was new, or repeated at standstill
     repeated_ns: int = 0  # arrival of the last position that was repeated while moving
     smoothed: bool = False  # its turn rates are smoothed (receiver_checks): they are stored, but not used
+    elsewhere_deg: Vector | None = None  # its last position far from the origin, and how many were there
+    elsewhere: int = 0
     left_out: bool = False  # it has been moved (watch): it is stored, but not used
 
-    def take(self, measurement: Measurement) -> None:
-        """Store a measurement other than a position."""
+    def take(self, measurement: Measurement, screens: Screens, moving: bool) -> None:
+        """Store a measurement other than a position, if `screens` does not leave it out. moving: whether the
+        rig moves."""
         epoch_ns = self.clock.other(measurement.rx_ns, measurement.pgn, measurement.sid)
         t_ns = epoch_ns - self.latency_ns
+        who = measurement.origin.mount or ""
+
+        def store(samples: deque[Sample], quantity: str, value: float, sd: float) -> None:
+            for at_ns, good, _, sd_good in screens.near(who, quantity, (t_ns, value, 0.0, sd), moving):
+                samples.append((at_ns, good, sd_good))
+
         match measurement:
             case Velocity(course=course, speed=speed, sd=sd):
-                self.velocities.append((t_ns, speed * math.cos(course), speed * math.sin(course), sd))
+                along = (t_ns, speed * math.cos(course), speed * math.sin(course), sd)
+                self.velocities.extend(screens.near(who, "velocity", along, moving))
             case YawRate(yaw_rate=rate, sd=sd):
-                self.yaw_rates.append((t_ns, self.yaw_rate_sign * rate, sd))
+                store(self.yaw_rates, "yaw_rate", self.yaw_rate_sign * rate, sd)
             case Attitude(roll=roll, pitch=pitch, sd=sd):
                 if roll is not None:
-                    self.rolls.append((t_ns, self.roll_sign * roll - self.roll_zero, sd))
+                    store(self.rolls, "roll", self.roll_sign * roll - self.roll_zero, sd)
                 if pitch is not None:
-                    self.pitches.append((t_ns, pitch, sd))
+                    store(self.pitches, "pitch", pitch, sd)
             case Heading(heading=heading, sd=sd):
-                self.headings.append((t_ns, heading, sd))
+                store(self.headings, "heading", heading, sd)
             case Fix(fix=fix):
                 self.fix, self.fix_ns = fix, measurement.rx_ns
             case UtcTime(utc_ns=utc_ns, sd=sd):
@@ -91,19 +103,24 @@ class Track:
             case _:
                 pass
 
-    def take_position(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
-        """Store a position (north, east), m. A repeated one counts as new only at standstill."""
+    def take_position(self, position: Position, at: Vector, screens: Screens, moving: bool) -> None:
+        """Store a position, if `screens` does not leave it out. at: north, east, m. A repeated one counts as
+        new only at standstill. moving: whether the rig moves."""
+        rx_ns = position.rx_ns
         t_ns = self.clock.position(rx_ns) - self.latency_ns
-        if repeat:
-            moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
-            if moving:
-                self.repeated_ns = rx_ns
-                return
+        if position.repeat and (moving or math.hypot(*self._last_velocity() or (0.0, 0.0)) > STANDSTILL):
+            self.repeated_ns = rx_ns
+            return
         if self.positions and t_ns <= self.positions[-1][0]:
             return
         self.last_position_ns = rx_ns
         least_sd = POSITION_SD.get(self.fix, 0.0) if self.fix else 0.0
-        self.positions.append((t_ns, at[0], at[1], max(sd, least_sd)))
+        here: Reading = (t_ns, at[0], at[1], max(position.sd, least_sd))
+        who = position.origin.mount or ""
+        self.positions.extend(screens.near_path(who, here, self._last_velocity()))
+
+    def _last_velocity(self) -> Vector | None:
+        return self.velocities[-1][1:3] if self.velocities else None
 
     def usable(self) -> bool:
         """Whether positions can be used with this fix. A receiver that never reports its fix is trusted."""
