@@ -12,13 +12,14 @@ from tilth.estimator import warm_start
 from tilth.estimator.methods import consistency
 from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
-from tilth.estimator.pose import aligner, log_time, receiver_checks
+from tilth.estimator.pose import aligner, log_time, receiver_checks, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
+from tilth.estimator.pose.standing import Standing
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
@@ -69,6 +70,7 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
+    standing: Standing = field(default_factory=Standing)  # sensors that have failed
     ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
     clock_steps: int = 0
     not_numbers: int = 0  # measurements refused because a value is not finite
@@ -210,8 +212,13 @@ def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: li
 def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
     receiver_checks.observe(state.checks, state.aligner, pose)
-    if found := [*receiver_checks.flags(state.checks), *consistency.flags(state.consistency)]:
-        pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
+    stopped = standing.observe(state.standing, state.aligner, pose)
+    found = [
+        *receiver_checks.flags(state.checks), *consistency.flags(state.consistency),
+        *standing.flags(state.standing), *state.aligner.screens.flags(),
+    ]  # fmt: skip
+    if found:
+        pose = replace(pose, flags=tuple(sorted({*pose.flags, *found})))
     out.append(Publication(t_ns, "/pose", pose))
     _publish_drawing(state, t_ns, pose, out)
     for kind, text in flag_events(state.flags, pose.flags):
@@ -220,6 +227,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
+    _act_on_stopped(state, t_ns, stopped, out)
     _act_on_checks(state, t_ns, out)
     _watch(state, t_ns, pose, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
@@ -275,6 +283,16 @@ def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
     if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
         consistency.discard_findings(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
+
+
+def _act_on_stopped(state: State, t_ns: int, events: list[tuple[str, str]], out: list[Publication]) -> None:
+    """Report sensors that stand still; without the wheel angle there are no numbers."""
+    for kind, text in events:
+        _publish_event(state, t_ns, kind, text, out)
+    screen = state.aligner.screens.by.get(aligner.WHEEL_NAME)
+    if screen is not None:
+        fault = standing.WHEEL_STANDS if screen.failed else ""
+        consistency.sensor_failed(state.consistency, state.machine, fault, screen.stands)
 
 
 def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:

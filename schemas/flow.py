@@ -243,6 +243,8 @@ class FlagKind(StrEnum):
     ROLL_CORRECTED_TWICE = "roll_corrected_twice"
     ROLL_CORRECTION = "roll_correction"
     SMOOTHED_YAW_RATE = "smoothed_yaw_rate"
+    SPIKES = "spikes"
+    STANDS_STILL = "stands_still"
     SWAPPED = "swapped"
     WAITING = "waiting"
     YAW_RATE_OF_HEADING = "yaw_rate_of_heading"

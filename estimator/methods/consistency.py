@@ -92,6 +92,7 @@ class Consistency:
     """Method -> key -> what is wrong with its latest estimate."""
     # after its first finding the open tracker was restarted; the next one counts
     open_restarted: bool = False
+    sensor_fault: str = ""  # a sensor that all numbers rest on has failed: in words, "" where none has
     must_forget: bool = False  # what was learned during a contradiction has to be discarded
 
 
@@ -108,6 +109,8 @@ def observe(
 
     moved: key -> message, of what the watch has found moved.
     """
+    if aligner.wheel_stands():  # what is found now would be found of the sensor, not of the file
+        return []
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
     if segment is not None:
@@ -151,6 +154,8 @@ def flags(state: Consistency) -> list[Flag]:
 
 def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     """The estimate as it may be published: no numbers while the file is contradicted or not confirmed."""
+    if state.sensor_fault:
+        return _without_numbers(estimate, Status.INVALID, state.sensor_fault)
     text = contradicted(state) or "; ".join(state.methods.get(estimate.method, {}).values())
     if text:
         return _without_numbers(estimate, Status.INVALID, f"{REFUSED}: {text}")
@@ -172,6 +177,16 @@ def soil_changed(state: Consistency, machine: Machine) -> None:
     rig."""
     if state.confirmed:
         discard_findings(state, machine, confirmed=True)
+
+
+def sensor_failed(state: Consistency, machine: Machine, fault: str, seen_at_once: bool) -> None:
+    """A sensor that all numbers rest on has failed, or works again (""). seen_at_once: nothing was learned
+    with its wrong readings."""
+    begins = bool(fault) and not state.sensor_fault
+    state.sensor_fault = fault
+    if begins and not seen_at_once:
+        state.wheel, state.must_forget = WheelCheck(), True
+        _begin_open_tracker(state, machine)
 
 
 def discard_findings(state: Consistency, machine: Machine, confirmed: bool = False) -> None:

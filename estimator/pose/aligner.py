@@ -41,6 +41,7 @@ UNDER_WAY = 1.0  # m/s: a rig at this speed moves every sensor's reading
 MOUNTS = tuple(Mount)
 WHEEL_BASED_PGN = 65096
 WHEEL = "wheel_angle"
+WHEEL_NAME = f"{WHEEL} {WHEEL}"  # of its screen
 WHEEL_SPEED_SD = 0.1  # m/s, of what a vehicle says of its wheels
 _NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
 _RECEIVER_KINDS = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
@@ -69,6 +70,11 @@ class Aligner:
     """Of tractor and implement: instant, heading and its sd (rad) at the last pose with both receivers."""
     suspicion: plausibility.Suspicion = field(default_factory=plausibility.Suspicion)
     long_term: plausibility.LongTermMeans = field(default_factory=plausibility.LongTermMeans)
+
+    def wheel_stands(self) -> bool:
+        """Whether the readings of the wheel angle stand still, as they never do or as they cannot."""
+        screen = self.screens.by.get(WHEEL_NAME)
+        return screen is not None and (screen.stands or screen.failed)
 
 
 def initial(machine: Machine) -> Aligner:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, Aligner, due
+from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, WHEEL, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
@@ -366,7 +366,8 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[Flag])
         sd_articulation = math.hypot(tractor.sd_heading, implement.sd_heading)
     wheel = sample_at(state.wheel, t_ns, WHEEL_HOLD_NS)
     if wheel is None:
-        flags.append(Flag(FlagKind.LOST if state.wheel_ns else FlagKind.WAITING, "wheel_angle"))
+        kind = FlagKind.LOST if state.wheel_ns else FlagKind.WAITING
+        flags.append(Flag(FlagKind.STANDS_STILL if state.wheel_stands() else kind, WHEEL))
     finest = min(
         (track.utc for track in state.tracks.values() if track.utc.offset_ns is not None),
         key=lambda utc: utc.resolution_s,

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from tilth.estimator.pose.geometry import Vector, wrap
+from tilth.schemas.flow import Flag, FlagKind
 
 Reading = tuple[int, float, float, float]
 """t_ns, a value, a second one or 0, sd of each."""
@@ -51,7 +52,7 @@ LEAST_SPIKES: Final = 5  # before a share is told
 OFTEN, SELDOM = 0.005, 0.001  # shares from which on, and below which, a sensor counts as disturbed
 KNOWN_RUNS: Final = 100  # runs of equal readings after which it is known how long they get
 SHORTEST: Final = 5  # readings; a run no longer than this is nothing unusual
-LONGER: Final = 3  # times the longest run so far
+LONGER: Final = 2  # times the longest run so far
 
 REASONS: Final = {
     "spike": "a reading further from its neighbours than anything can move in between: cable, plug or sensor",
@@ -95,6 +96,11 @@ class Screens:
             screen.last, screen.raw, screen.run = None, None, 0
             screen.waiting.clear()
 
+    def flags(self) -> list[Flag]:
+        """A flag for each sensor of which a share of the readings are spikes."""
+        disturbed = (name.partition(" ")[0] for name, screen in self.by.items() if screen.often)
+        return sorted({Flag(FlagKind.SPIKES, who) for who in disturbed})
+
     def forget_places(self) -> None:
         """Positions count from another origin now."""
         for name, screen in self.by.items():
@@ -107,7 +113,8 @@ class Screens:
         order. moving: whether the rig moves."""
         screen = self.by.setdefault(f"{who} {quantity}", Screen())
         _count_run(screen, reading, moving)
-        if screen.stands and quantity != "wheel_angle":  # which a pose needs; record_builder looks at it
+        # A pose needs the wheel angle: one that may yet be right is refused by record_builder only.
+        if screen.failed or (screen.stands and quantity != "wheel_angle"):
             self.reject("stands_still", 1)
             return []
         return self._decide(screen, reading, LIMITS[quantity], (0.0, 0.0))

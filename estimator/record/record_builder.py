@@ -84,6 +84,8 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
         wheel = wheel_angles(aligner.wheel, start.t_ns)
         if wheel is None:
             reason = "no wheel angle"
+        elif aligner.wheel_stands():
+            reason = "wheel-angle sensor stands still"
         elif start.values and end.values:
             record = _assemble(start, end, wheel, rows)
     reason = _settle(state, reason or _refusal(start, end, after, record))
