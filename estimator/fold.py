@@ -12,7 +12,7 @@ from tilth.estimator import warm_start
 from tilth.estimator.methods import consistency
 from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
-from tilth.estimator.pose import aligner, log_time, receiver_checks, standing
+from tilth.estimator.pose import aligner, lateness, log_time, receiver_checks, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
@@ -92,6 +92,8 @@ class State:
     def rejected(self) -> dict[str, int]:
         """Reason -> count, of frames and measurements that were not used."""
         counts = self.decoder.rejected | self.aligner.screens.rejected
+        if self.aligner.lateness.late:
+            counts["late"] = self.aligner.lateness.late
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
         if self.time.stray:
@@ -181,6 +183,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
     elif jump_ns > 0:
         text = f"no frame for {jump_ns * 1e-9:.1f} s"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
+    lateness.take_frame(state.aligner.lateness, state.machine, frame)
     now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
     position_taken = False
     for measurement in state.decoder.measurements(frame):
@@ -211,7 +214,9 @@ def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: li
 
 def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
-    receiver_checks.observe(state.checks, state.aligner, pose)
+    late = state.aligner.lateness.doubts(pose.t_ns)
+    if not late:
+        receiver_checks.observe(state.checks, state.aligner, pose)
     stopped = standing.observe(state.standing, state.aligner, pose)
     found = [
         *receiver_checks.flags(state.checks), *consistency.flags(state.consistency),
@@ -229,7 +234,8 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     _act_on_stopped(state, t_ns, stopped, out)
     _act_on_checks(state, t_ns, out)
-    _watch(state, t_ns, pose, out)
+    if not late:
+        _watch(state, t_ns, pose, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
     if not state.ready:
@@ -425,10 +431,11 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
     stays."""
     state.clock_steps += 1
-    screens = state.aligner.screens
+    screens, late = state.aligner.screens, state.aligner.lateness
     state.aligner = aligner.initial(state.machine)
-    state.aligner.screens = screens
+    state.aligner.screens, state.aligner.lateness = screens, late
     screens.clock_stepped()
+    late.clock_stepped()
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     _exclude_smoothed_turn_rates(state)
     receiver_checks.clock_stepped(state.checks)

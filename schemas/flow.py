@@ -228,6 +228,7 @@ class FlagKind(StrEnum):
     HEADING_BY_REPORTED = "heading_by_reported"
     HEADING_BY_YAW_RATE = "heading_by_yaw_rate"
     LATE = "late"
+    LATE_FRAMES = "late_frames"
     LATENCY = "latency"
     LEFT_OUT = "left_out"
     LOST = "lost"

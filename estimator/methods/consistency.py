@@ -109,7 +109,8 @@ def observe(
 
     moved: key -> message, of what the watch has found moved.
     """
-    if aligner.wheel_stands():  # what is found now would be found of the sensor, not of the file
+    # What is found now would be found of the sensor or of the computer, not of the file.
+    if aligner.wheel_stands() or aligner.lateness.doubts(pose.t_ns):
         return []
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)

@@ -9,9 +9,10 @@ from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 
-from tilth.estimator.pose import latency, plausibility
+from tilth.estimator.pose import latency, lateness, plausibility
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.latency import Latency
+from tilth.estimator.pose.lateness import Lateness
 from tilth.estimator.pose.log_time import SILENCE_NS
 from tilth.estimator.pose.receiver_track import NEAR_NS, Sample, Track
 from tilth.estimator.pose.screen import LASTING, Screens
@@ -63,6 +64,7 @@ class Aligner:
     origin_deg: tuple[float, float] | None = None
     origin_candidate_deg: tuple[float, float] | None = None
     screens: Screens = field(default_factory=Screens)
+    lateness: Lateness = field(default_factory=Lateness)
     moving: bool = False  # the rig, at the last pose
     due_ns: int = 0  # instant of the next pose; 0 before the first position
     last_pose_ns: int = 0
@@ -126,7 +128,9 @@ def is_number(measurement: Measurement) -> bool:
 
 def take(state: Aligner, measurement: Measurement) -> None:
     """Store one measurement."""
+    state.screens.late = state.lateness.doubts(measurement.rx_ns)
     if isinstance(measurement, WheelAngle):
+        lateness.take_wheel(state.lateness, measurement.rx_ns)
         delay_ns = round(state.machine.wheel_angle.delay * 1e9)
         reading = (measurement.rx_ns - delay_ns, measurement.angle, 0.0, measurement.sd)
         for t_ns, angle, _, sd in state.screens.near(WHEEL, WHEEL, reading, state.moving):

@@ -64,14 +64,18 @@ class _Body:
 
 def _pose_at(state: Aligner, t_ns: int) -> Pose:
     flags = _receiver_flags(state, t_ns)
+    late = state.lateness.doubts(t_ns)
+    if late:
+        flags.append(Flag(FlagKind.LATE_FRAMES, "rig"))
     bodies = [_interpolate_body(state, index, t_ns, flags) for index in range(2)]
     for body in bodies:
         _solve_pair(state, body)
-    flags += _withhold_doubtful(state, bodies)
+    flags += _withhold_doubtful(state, bodies, late)
     for body, other in zip(bodies, reversed(bodies), strict=True):
         if body.heading is None and body.antennas:
             _solve_single(state, body, other, t_ns, flags)
-    _update_latency(state, bodies, t_ns)
+    if not late:
+        _update_latency(state, bodies, t_ns)
     for body in bodies:
         _solve_body(state, body, t_ns, flags)
     state.last_pose_ns = t_ns
@@ -152,20 +156,22 @@ def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:
     return sum(w * v for w, (v, _) in zip(weights, values, strict=True)) / total, math.sqrt(1 / total)
 
 
-def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[Flag]:
-    """Remove the receivers that do not fit the surveyed rig. Returns the flags that say so."""
+def _withhold_doubtful(state: Aligner, bodies: list[_Body], late: bool) -> list[Flag]:
+    """Remove the receivers that do not fit the surveyed rig. Returns the flags that say so. late: whether
+    frames came late, so that nobody need have been moved."""
     antennas = {MOUNTS[i]: antenna for body in bodies for i, antenna in body.antennas.items()}
     speed = max((math.hypot(*a.velocity) for a in antennas.values() if a.velocity), default=0.0)
     smear = max((speed * a.sd_time + a.sd for a in antennas.values()), default=0.0)
     c, d = state.machine.tractor.c.value, state.machine.implement.d.value
     levers = {mount: antenna.lever for mount, antenna in antennas.items()}
     found = plausibility.check_instant({m: a.at for m, a in antennas.items()}, levers, c, d, smear)
-    _update_long_term_means(state, bodies)
+    if not late:
+        _update_long_term_means(state, bodies)
     if not found:
         timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
         wrong = [*state.long_term.bodies(state.machine, timing), *_reversed_bodies(state, bodies)]
         found = tuple(Flag(FlagKind.MOVED, MOUNTS[i].value) for body in wrong for i in bodies[body].antennas)
-    persistent = state.suspicion.judge(found)
+    persistent = () if late else state.suspicion.judge(found)
     for flag in found:
         index = MOUNTS.index(Mount(flag.of))
         body = bodies[index // 2]

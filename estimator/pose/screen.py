@@ -89,6 +89,7 @@ class Screens:
 
     by: dict[str, Screen] = field(default_factory=dict)  # "who quantity" -> screen
     rejected: dict[str, int] = field(default_factory=dict)  # key of REASONS -> readings
+    late: bool = False  # frames come late just now (lateness.py)
 
     def clock_stepped(self) -> None:
         """What comes next is not near in time to what was there. What is known of the sensors stays."""
@@ -152,10 +153,10 @@ class Screens:
         return used
 
     def _leave_out(self, screen: Screen) -> None:
-        if screen.waiting:
+        if screen.waiting and not self.late:  # else the computer is to blame, and they are counted as late
             self.reject("spike", len(screen.waiting))
-        for _ in screen.waiting:
-            _note(screen, True)
+            for _ in screen.waiting:
+                _note(screen, True)
         screen.waiting.clear()
 
 

@@ -37,6 +37,7 @@ SETTLING = 10  # segments (2 s) that are driven after a refusal before anything 
 _REFUSING = (
     (MISPLACED, "receivers do not fit the rig"),
     (WITHOUT_RTK, "no RTK fix"),
+    ({FlagKind.LATE_FRAMES}, "frames came late"),
     ({FlagKind.NO_ROLL}, "roll not measured"),
 )
 _HALVES = (0.0, 0.5, 1.0)

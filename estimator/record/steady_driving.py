@@ -29,6 +29,7 @@ _DISQUALIFYING = (
     (MISPLACED, "receivers do not fit the rig"),
     (WITHOUT_RTK, "no RTK fix"),
     ({FlagKind.LATE}, "late receiver"),
+    ({FlagKind.LATE_FRAMES}, "frames came late"),
     ({FlagKind.NO_ROLL}, "roll not measured"),  # an unknown side slope of 3 degrees changes C_ai by a third
     (
         {FlagKind.HEADING_BY_HITCH, FlagKind.HEADING_BY_REPORTED, FlagKind.HEADING_BY_YAW_RATE},

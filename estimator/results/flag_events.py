@@ -21,6 +21,12 @@ _TEXT = {
 }
 
 
+_SENTENCES = {
+    FlagKind.LATE_FRAMES: "frames came late: this computer, or the one that sends, is busy; meanwhile "
+    "nothing is learned",
+}
+
+
 def flag_events(before: Collection[Flag], now: Collection[Flag]) -> list[tuple[str, str]]:
     """(kind, text) of the events, from the flags of the pose before and of this one."""
     out: list[tuple[str, str]] = []
@@ -29,5 +35,7 @@ def flag_events(before: Collection[Flag], now: Collection[Flag]) -> list[tuple[s
             silent = flag.of == "wheel_angle" and flag.kind is not FlagKind.SPIKES
             text = "is silent" if silent else _TEXT[flag.kind]
             out.append((flag.kind, f"{flag.of} {text}"))
+        elif flag not in before and flag.kind in _SENTENCES:
+            out.append((flag.kind, _SENTENCES[flag.kind]))
     out += [(flag.kind, f"{flag.of}: over") for flag in before if flag not in now and flag.kind in _TEXT]
     return out
