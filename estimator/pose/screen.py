@@ -136,7 +136,11 @@ class Screens:
 
     def _decide(self, screen: Screen, reading: Reading, limits: Limits, velocity: Vector) -> list[Reading]:
         waiting, last = screen.waiting, screen.last
-        if last is None or _are_near(last, reading, limits, velocity):
+        back = last is None or _are_near(last, reading, limits, velocity)
+        if back and last is not None and waiting:  # what has time enough may come back, or go on
+            gone_on = _apart(waiting[-1], reading, limits, velocity)
+            back = _apart(last, reading, limits, velocity) < gone_on
+        if back:
             self._leave_out(screen)
             used = [reading]
         else:
@@ -160,16 +164,19 @@ class Screens:
         screen.waiting.clear()
 
 
-def _are_near(one: Reading, other: Reading, limits: Limits, velocity: Vector) -> bool:
-    """Whether both may be true. velocity: at which the values change, as far as known."""
+def _apart(one: Reading, other: Reading, limits: Limits, velocity: Vector) -> float:
+    """How far one is from the other, if the values have changed at this velocity."""
     elapsed = (other[0] - one[0]) * 1e-9
     first = other[1] - one[1] - velocity[0] * elapsed
     second = other[2] - one[2] - velocity[1] * elapsed
-    if limits.wraps:
-        first = wrap(first)
-    room = SDS * math.hypot(one[3], other[3]) + limits.rate * (abs(elapsed) + STAMP_S)
-    room += math.hypot(*velocity) * STAMP_S
-    return first * first + second * second <= room * room
+    return math.hypot(wrap(first) if limits.wraps else first, second)
+
+
+def _are_near(one: Reading, other: Reading, limits: Limits, velocity: Vector) -> bool:
+    """Whether both may be true. velocity: at which the values change, as far as known."""
+    seconds = abs(other[0] - one[0]) * 1e-9 + STAMP_S
+    room = SDS * math.hypot(one[3], other[3]) + limits.rate * seconds + math.hypot(*velocity) * STAMP_S
+    return _apart(one, other, limits, velocity) <= room
 
 
 def _count_run(screen: Screen, reading: Reading, moving: bool) -> None:

@@ -140,9 +140,7 @@ def _contradicts(poses: list[Moved], name: str, screen: Screen) -> bool:
             turned = _range([pose.heading[body] for pose in during]) > LEAST_TURN
             return turned or _range([pose.speed for pose in during]) > LEAST_CHANGE
         case "yaw_rate":
-            rate = screen.raw[0] if screen.raw else 0.0
-            off = [pose.heading[body] - rate * (pose.t_ns - during[0].t_ns) * 1e-9 for pose in during]
-            return _range(off) > LEAST_TURN
+            return _bend([pose.heading[body] for pose in during]) > LEAST_TURN
         case "heading":
             return _range([pose.turned[body] for pose in during]) > LEAST_TURN
         case "roll":  # a receiver that never measured it says 0 for ever
@@ -168,6 +166,13 @@ def _path_left(during: list[Moved], screen: Screen) -> bool:
         largest = max(largest, abs(screen.raw[0]))
         off = max(off, *(abs(mean - screen.raw[0]) for mean in means))
     return off > LEAST_PATH_ANGLE + SLIP_SHARE * largest
+
+
+def _bend(headings: list[float]) -> float:
+    """How far headings are from a steady turn, which a reading that is off by a constant may show."""
+    known = [heading for heading in headings if not math.isnan(heading)]
+    steps = max(len(known) - 1, 1)
+    return _range([heading - (known[-1] - known[0]) * k / steps for k, heading in enumerate(known)])
 
 
 def _range(values: list[float]) -> float:
