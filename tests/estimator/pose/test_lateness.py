@@ -1,11 +1,17 @@
 """Frames that a busy computer stamped late are told from traffic as it is."""
 
+from dataclasses import replace
+
 import pytest
 from circle import demo_machine
 
+from tilth.estimator.fold import initial, step
 from tilth.estimator.pose import lateness
 from tilth.estimator.pose.lateness import Lateness
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Status
+from tilth.simulator.scenario import DrivenManoeuvre, Scenario
+from tilth.simulator.tractor import drive
+from tilth.simulator.traffic import simulate
 
 MACHINE = demo_machine()
 START_NS = 1_700_000_000_000_000_000
@@ -65,3 +71,34 @@ def test_bursts_of_receivers_and_silences_of_a_quiet_bus_are_not_late() -> None:
         for k in range(24):  # four receivers at once, as fast as the bus carries them
             lateness.take_frame(state, MACHINE, frame(START_NS + epoch * 200_000_000 + k * 560_000))
     assert state.late == 0
+
+
+def test_a_busy_computer_is_named_and_the_machine_file_is_not() -> None:
+    """All buses starved again and again for 0.15 to 0.5 s, as by a program that takes both cores."""
+    scenario = Scenario(steering=DrivenManoeuvre("random"), other_traffic=False)
+    given = list(simulate(MACHINE, 3, 45.0, scenario))
+    first_ns, k = given[0].t_ns, 0
+    events, last = list[Event](), None
+    spans = [(20.0, 20.3), (24.0, 24.15), (29.0, 29.5), (33.0, 33.3), (40.0, 40.2)]
+    state = initial(MACHINE)
+    for one in given:
+        seconds = (one.t_ns - first_ns) * 1e-9
+        k += k < len(spans) - 1 and seconds >= spans[k][1]
+        if spans[k][0] <= seconds < spans[k][1]:
+            stamp_ns = first_ns + round(spans[k][1] * 1e9)
+            one = replace(one, t_ns=stamp_ns, rx_ns=stamp_ns)
+        for publication in step(state, one):
+            if isinstance(publication.value, Event):
+                events.append(publication.value)
+            elif isinstance(publication.value, Estimate) and publication.value.method == "tracker":
+                last = publication.value
+    kinds = [event.kind for event in events]
+    assert kinds.count("late_frames") >= len(spans)
+    assert not {"contradiction", "soil_change", "moved", "swapped", "spikes", "smoothed_yaw_rate"} & {*kinds}
+    assert state.rejected["late"] > 100
+    assert state.record.refused["frames came late"] > 0
+    assert last is not None and last.parameters[0].status is Status.ESTIMATED
+    truth = drive(MACHINE, 3, 45.0, scenario).parameters
+    for parameter, name in zip(last.parameters, PARAMETERS, strict=True):
+        assert parameter.value is not None and parameter.sd is not None
+        assert abs(parameter.value - truth[name]) < 3.0 * parameter.sd
