@@ -1,21 +1,25 @@
 """A sensor that goes on sending its last reading is named, and nothing else is blamed for it."""
 
+import json
 import math
 from collections.abc import Callable
 from functools import cache
 
 import pytest
 from circle import demo_machine
+from paths import SHARED
 
 from tilth.estimator.fold import State, initial, step
 from tilth.estimator.pose import aligner, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.standing import Standing
+from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import BodyPose, Estimate, Event, Flag, Frame, Pose, Status
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.traffic import simulate
 
 MACHINE = demo_machine()
+STRANGERS = SHARED / "data" / "strangers" / "second"
 WHEEL_ID = 0x18FF0B15
 SECONDS = 40.0
 FAILS_S = 30.0
@@ -87,6 +91,33 @@ def test_a_wheel_angle_that_stands_still_is_named_and_no_number_is_given() -> No
     assert {p.status for p in estimates[-1].parameters} == {Status.INVALID}
     assert "wheel-angle sensor" in estimates[-1].parameters[0].reason
     assert state.rejected["stands_still"] > 0
+
+
+@pytest.mark.skipif(not STRANGERS.is_dir(), reason="the strangers' logs are not here")
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [("00-base", []), ("27-wheel-spikes", ["spikes"]), ("28-wheel-frozen-at-30s", ["stands_still"])],
+)
+def test_logs_of_strangers(name: str, kinds: list[str]) -> None:
+    true = json.loads((STRANGERS / "00-base.truth.json").read_text())["parameters"]
+    log = open_log(STRANGERS / f"{name}.log.gz")
+    state, events, last = initial(MACHINE), list[str](), None
+    for record in log.records:
+        if not isinstance(record, Frame):
+            continue
+        for value in (publication.value for publication in step(state, record)):
+            if isinstance(value, Event):
+                events.append(value.kind)
+            elif isinstance(value, Estimate) and value.method == "tracker":
+                last = value
+    log.file.close()
+    assert events == kinds and last is not None
+    given = last.parameters[0]
+    if "stands_still" in kinds:
+        assert given.status is Status.INVALID
+    else:
+        assert given.value is not None and given.sd is not None
+        assert abs(given.value - true["C_af"]) < 2.0 * given.sd
 
 
 # What a run of equal readings is compared with, by itself.
