@@ -23,7 +23,7 @@ def frame(t_ns: int) -> Frame:
 
 def starved(stamps_ns: list[int], from_ns: int, until_ns: int) -> list[int]:
     """What came between the two is stamped at the end, some microseconds apart."""
-    out, k = [], 0
+    out, k = list[int](), 0
     for t_ns in stamps_ns:
         late = from_ns <= t_ns < until_ns
         out.append(until_ns + 3_000 * k if late else max(t_ns, out[-1] if out else 0))
