@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping
 
+from tilth.estimator.pose import lateness, screen
 from tilth.schemas.decode import REASONS, Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Origin
@@ -56,4 +57,5 @@ def who(origin: Origin) -> str:
 
 def rejection_words(reason: str) -> str:
     """A reason of `Decoder.rejected` with what it means; those of readers of logs speak for themselves."""
-    return f"{reason}: {REASONS[reason]}" if reason in REASONS else reason
+    words = {**REASONS, **screen.REASONS, **lateness.REASONS}.get(reason)
+    return f"{reason}: {words}" if words else reason

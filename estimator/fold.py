@@ -12,7 +12,7 @@ from tilth.estimator import warm_start
 from tilth.estimator.methods import consistency
 from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
-from tilth.estimator.pose import aligner, log_time, receiver_checks, recognition
+from tilth.estimator.pose import aligner, lateness, log_time, receiver_checks, recognition, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
@@ -20,6 +20,7 @@ from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.recognition import Recognition
+from tilth.estimator.pose.standing import Standing
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
@@ -74,6 +75,7 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
+    standing: Standing = field(default_factory=Standing)  # sensors that have failed
     ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
     clock_steps: int = 0
     not_numbers: int = 0  # measurements refused because a value is not finite
@@ -95,7 +97,9 @@ class State:
     @property
     def rejected(self) -> dict[str, int]:
         """Reason -> count, of frames and measurements that were not used."""
-        counts = dict(self.decoder.rejected)
+        counts = self.decoder.rejected | self.aligner.screens.rejected
+        if self.aligner.lateness.late:
+            counts["late"] = self.aligner.lateness.late
         if self.clock_steps:
             counts["clock_step"] = self.clock_steps
         if self.time.stray:
@@ -194,6 +198,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
     elif jump_ns >= log_time.SILENCE_NS:
         text = f"no frame for {jump_ns * 1e-9:.1f} s"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
+    lateness.take_frame(state.aligner.lateness, state.machine, frame)
     now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
     if state.recognition.before:
         _recall_addresses(state, frame, out)
@@ -279,9 +284,16 @@ def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: li
 
 def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
-    receiver_checks.observe(state.checks, state.aligner, pose)
-    if found := [*receiver_checks.flags(state.checks), *consistency.flags(state.consistency)]:
-        pose = replace(pose, flags=tuple(sorted((*pose.flags, *found))))
+    late = state.aligner.lateness.doubts(pose.t_ns)
+    if not late:
+        receiver_checks.observe(state.checks, state.aligner, pose)
+    stopped = standing.observe(state.standing, state.aligner, pose)
+    found = [
+        *receiver_checks.flags(state.checks), *consistency.flags(state.consistency),
+        *standing.flags(state.standing), *state.aligner.screens.flags(),
+    ]  # fmt: skip
+    if found:
+        pose = replace(pose, flags=tuple(sorted({*pose.flags, *found})))
     out.append(Publication(t_ns, "/pose", pose))
     _publish_drawing(state, t_ns, pose, out)
     for kind, text in flag_events(state.flags, pose.flags):
@@ -294,8 +306,10 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     for kind, text in aligner.news(state.aligner):
         _publish_event(state, t_ns, kind, text, out)
+    _act_on_stopped(state, t_ns, stopped, out)
     _act_on_checks(state, t_ns, out)
-    _watch(state, t_ns, pose, out)
+    if not late:
+        _watch(state, t_ns, pose, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
     if not state.ready:
@@ -349,6 +363,16 @@ def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
     if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
         consistency.discard_findings(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
+
+
+def _act_on_stopped(state: State, t_ns: int, events: list[tuple[str, str]], out: list[Publication]) -> None:
+    """Report sensors that stand still; without the wheel angle there are no numbers."""
+    for kind, text in events:
+        _publish_event(state, t_ns, kind, text, out)
+    screen = state.aligner.screens.by.get(aligner.WHEEL_NAME)
+    if screen is not None:
+        fault = Code.WHEEL_ANGLE_STANDS if screen.failed else None
+        consistency.sensor_failed(state.consistency, state.machine, fault, screen.stands)
 
 
 def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
@@ -480,7 +504,11 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
 def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) -> None:
     """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
     stays. Also where the log's first stamps were wrong."""
+    screens, late = state.aligner.screens, state.aligner.lateness
     state.aligner = aligner.initial(state.machine)
+    state.aligner.screens, state.aligner.lateness = screens, late
+    screens.clock_stepped()
+    late.clock_stepped()
     aligner.leave_out(state.aligner, watch.left_out(state.watch))
     _exclude_smoothed_turn_rates(state)
     state.recognition = recognition.restart(state.recognition)

@@ -14,6 +14,7 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.recognition import Recognition
+from tilth.estimator.pose.standing import Standing
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
@@ -42,6 +43,7 @@ def snapshot(state: State) -> str:
         "consistency": to_json_data(state.consistency),
         "estimators": {row.method: to_json_data(state.estimators[row.method]) for row in rows},
         "checks": to_json_data(state.checks),
+        "standing": to_json_data(state.standing),
         "watch": to_json_data(state.watch),
         "accepted": to_json_data(state.accepted),
         "previous_run": to_json_data(state.previous_run),
@@ -127,6 +129,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         consistency=stored.value(Consistency, "consistency"),
         estimators=_estimators_of(machine, stored.raw("estimators")),
         checks=stored.value(ReceiverChecks, "checks"),
+        standing=stored.value(Standing, "standing"),
         watch=stored.value(WatchState, "watch"),
         previous_run=stored.value(dict[str, SavedPosterior], "previous_run"),
         previous_run_ns=stored.value(int, "previous_run_ns"),

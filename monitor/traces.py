@@ -22,6 +22,7 @@ WORST: Final = frozenset(
         FlagKind.MOVED,
         FlagKind.SWAPPED,
         FlagKind.REPEATING,
+        FlagKind.STANDS_STILL,
         FlagKind.CONTRADICTION,
     }
 )

@@ -27,6 +27,10 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_HEADING: "no heading",
     Code.POSE_INCOMPLETE: "pose incomplete",
     Code.RECEIVER_LATE: "late receiver",
+    Code.FRAMES_LATE: "frames came late",
+    Code.WHEEL_ANGLE_STANDS: (
+        "the wheel-angle sensor stands still while the rig turns: sensor, linkage, plug or cable"
+    ),
     Code.HEADING_NOT_OF_PAIR: "heading not from two receivers",
     Code.TURNING_IN_OR_OUT: "turning in or out",
     Code.SPEED_NOT_STEADY: "speed not steady",

@@ -92,6 +92,7 @@ class Consistency:
     """Method -> key -> what is wrong with its latest estimate."""
     # after its first finding the open tracker was restarted; the next one counts
     open_restarted: bool = False
+    sensor_fault: Code | None = None  # of a sensor that all numbers rest on
     must_forget: bool = False  # what was learned during a contradiction has to be discarded
 
 
@@ -108,6 +109,9 @@ def observe(
 
     moved: key -> message, of what the watch has found moved.
     """
+    # What is found now would be found of the sensor or of the computer, not of the file.
+    if aligner.wheel_stands() or aligner.lateness.doubts(pose.t_ns):
+        return []
     wheel_check.observe(state.wheel, machine, pose)
     motion_check.observe(state.motion, pose)
     if segment is not None:
@@ -151,6 +155,8 @@ def flags(state: Consistency) -> list[Flag]:
 
 def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     """The estimate as it may be published: no numbers while the file is contradicted or not confirmed."""
+    if state.sensor_fault is not None:
+        return _without_numbers(estimate, Status.INVALID, Reason(state.sensor_fault))
     if why := contradicted(state) or list(state.methods.get(estimate.method, {}).values()):
         reason = Reason(Code.CONTRADICTED, because=tuple(Reason(Code.TEXT, (text,)) for text in why))
         return _without_numbers(estimate, Status.INVALID, reason)
@@ -172,6 +178,16 @@ def soil_changed(state: Consistency, machine: Machine) -> None:
     rig."""
     if state.confirmed:
         discard_findings(state, machine, confirmed=True)
+
+
+def sensor_failed(state: Consistency, machine: Machine, fault: Code | None, seen_at_once: bool) -> None:
+    """A sensor that all numbers rest on has failed, or works again (None). seen_at_once: nothing was learned
+    with its wrong readings."""
+    begins = fault is not None and state.sensor_fault is None
+    state.sensor_fault = fault
+    if begins and not seen_at_once:
+        state.wheel, state.must_forget = WheelCheck(), True
+        _begin_open_tracker(state, machine)
 
 
 def discard_findings(state: Consistency, machine: Machine, confirmed: bool = False) -> None:

@@ -40,9 +40,11 @@ from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import sentence
+from tilth.schemas.spread import interval
 
 Array = NDArray[np.float64]
 
+KNOWN_FACTOR_SD = 0.25  # of a logarithm: a change known to less is not told as a factor
 METHOD = "pem"
 LATENCY_NS = 3_000_000_000
 LEAST_STEERING = math.radians(1.0)
@@ -327,9 +329,17 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
 
 
 def _describe_change(job: Job, made: Fit) -> str:
-    ratios = np.exp(made.mean[SIX] - job.mean[SIX])
-    ratios_text = ", ".join(f"{name} × {ratio:.2f}" for name, ratio in zip(PARAMETERS, ratios, strict=True))
-    return f"the soil holds the tyres differently: {ratios_text}; what was learned of it before is given up"
+    """The factors that are known, with their intervals."""
+    logs = made.mean[SIX] - job.mean[SIX]
+    sds = np.sqrt(np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX])
+    factors = [
+        f"{name} × {low:.2f} to {high:.2f}"
+        for name, log, sd in zip(PARAMETERS, logs.tolist(), sds.tolist(), strict=True)
+        if sd < KNOWN_FACTOR_SD
+        for low, high in [interval(math.exp(log), sd)]
+    ]
+    which = f" ({', '.join(factors)}, 95 %)" if factors else ""
+    return f"the soil holds the tyres differently{which}: what was learned of it before is given up"
 
 
 def clock_stepped(state: PemState, by_ns: int) -> None:

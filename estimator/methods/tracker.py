@@ -385,16 +385,15 @@ def _detect_soil_change(state: TrackerState) -> None:
 
 def _forget_soil(state: TrackerState, logs: Array) -> None:
     """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
-    names = [name for name, change in zip(PARAMETERS, logs, strict=True) if change]
-    factor = math.exp(logs[np.argmax(np.abs(logs))])
     state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
     _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
     state.changes += 1
     state.changed_ns = state.last_pose_ns
     state.window_s = state.tight_s = state.hard = 0.0
-    text = f"the soil holds the tyres differently: {', '.join(names)} about × {factor:.2f}"
-    state.events.append(("soil_change", f"{text}; what was learned of it before is given up"))
+    # That something has changed is known seconds before it is known what, and by how much.
+    text = "the soil holds the tyres differently: what was learned of it before is given up"
+    state.events.append(("soil_change", f"{text}; by how much shows as driving tells it"))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:

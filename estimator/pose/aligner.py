@@ -9,11 +9,13 @@ from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 
-from tilth.estimator.pose import latency, plausibility
+from tilth.estimator.pose import latency, lateness, plausibility
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.latency import Latency
+from tilth.estimator.pose.lateness import Lateness
 from tilth.estimator.pose.log_time import SILENCE_NS
 from tilth.estimator.pose.receiver_track import NEAR_NS, Sample, Track
+from tilth.estimator.pose.screen import LASTING, Screens
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.flow import (
     Attitude,
@@ -39,8 +41,12 @@ ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
 CLOCKS_APART_NS = 3_000_000_000  # receivers tell UTC up to a second late
 LEAP_SECONDS_NS = (16_000_000_000, 20_000_000_000)  # some tell GPS time for UTC
 DAY_NS = 86_400_000_000_000
+UNDER_WAY = 1.0  # m/s: a rig at this speed moves every sensor's reading
 MOUNTS = tuple(Mount)
 WHEEL_BASED_PGN = 65096
+WHEEL = "wheel_angle"
+WHEEL_NAME = f"{WHEEL} {WHEEL}"  # of its screen
+WHEEL_SPEED_SD = 0.1  # m/s, of what a vehicle says of its wheels
 _NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
 _RECEIVER_KINDS = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
 
@@ -60,6 +66,9 @@ class Aligner:
     direction_ns: int = 0
     origin_deg: tuple[float, float] | None = None
     origin_candidate_deg: tuple[float, float] | None = None
+    screens: Screens = field(default_factory=Screens)
+    lateness: Lateness = field(default_factory=Lateness)
+    moving: bool = False  # the rig, at the last pose
     due_ns: int = 0  # instant of the next pose; 0 before the first position
     last_pose_ns: int = 0
     last_heading: list[tuple[int, float, float] | None] = field(default_factory=lambda: [None, None])
@@ -67,6 +76,11 @@ class Aligner:
     clocks_told: bool = False  # that two buses are not on one clock
     suspicion: plausibility.Suspicion = field(default_factory=plausibility.Suspicion)
     long_term: plausibility.LongTermMeans = field(default_factory=plausibility.LongTermMeans)
+
+    def wheel_stands(self) -> bool:
+        """Whether the readings of the wheel angle stand still, as they never do or as they cannot."""
+        screen = self.screens.by.get(WHEEL_NAME)
+        return screen is not None and (screen.stands or screen.failed)
 
 
 def initial(machine: Machine) -> Aligner:
@@ -127,9 +141,13 @@ def is_number(measurement: Measurement) -> bool:
 
 def take(state: Aligner, measurement: Measurement) -> None:
     """Store one measurement."""
+    state.screens.late = state.lateness.doubts(measurement.rx_ns)
     if isinstance(measurement, WheelAngle):
+        lateness.take_wheel(state.lateness, measurement.rx_ns)
         delay_ns = round(state.machine.wheel_angle.delay * 1e9)
-        state.wheel.append((measurement.rx_ns - delay_ns, measurement.angle, measurement.sd))
+        reading = (measurement.rx_ns - delay_ns, measurement.angle, 0.0, measurement.sd)
+        for t_ns, angle, _, sd in state.screens.near(WHEEL, WHEEL, reading, state.moving):
+            state.wheel.append((t_ns, angle, sd))
         state.wheel_ns = measurement.rx_ns
         return
     if isinstance(measurement, VehicleSpeed):
@@ -142,7 +160,7 @@ def take(state: Aligner, measurement: Measurement) -> None:
     if isinstance(measurement, Position):
         _take_position(state, track, measurement)
     elif isinstance(measurement, _RECEIVER_KINDS):
-        track.take(measurement)
+        track.take(measurement, state.screens, state.moving)
 
 
 def _take_vehicle_speed(state: Aligner, measurement: VehicleSpeed) -> None:
@@ -154,7 +172,9 @@ def _take_vehicle_speed(state: Aligner, measurement: VehicleSpeed) -> None:
     sender = f"{measurement.origin.bus} {measurement.origin.source}"
     state.wheel_speeds_of = state.wheel_speeds_of or sender
     if sender == state.wheel_speeds_of:
-        state.wheel_speeds.append((measurement.rx_ns, measurement.speed, 0.0))
+        reading = (measurement.rx_ns, measurement.speed, 0.0, WHEEL_SPEED_SD)
+        for t_ns, speed, _, _ in state.screens.near(WHEEL, "wheel_speed", reading, state.moving):
+            state.wheel_speeds.append((t_ns, speed, 0.0))
 
 
 def _take_position(state: Aligner, track: Track, position: Position) -> None:
@@ -168,28 +188,45 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
     if not track.usable():
         return
     here = (position.latitude_deg, position.longitude_deg)
-    if state.origin_deg is None and not _set_origin(state, here, position.rx_ns):
-        return
+    if state.origin_deg is None:
+        if not _agrees(state, here):
+            return
+        _set_origin(state, here, position.rx_ns)
     assert state.origin_deg is not None
     at = to_plane(state.origin_deg, *here)
-    if math.hypot(*at) > FARTHEST_FROM_ORIGIN and _set_origin(state, here, position.rx_ns):
+    if not math.hypot(*at) <= FARTHEST_FROM_ORIGIN:  # also where the plane has no numbers
+        drove_there = track.positions and math.dist(at, track.positions[-1][1:3]) <= ORIGIN_AGREEMENT
+        if not drove_there and not _is_elsewhere(track, here):
+            state.screens.reject("spike", 1)
+            return
+        _set_origin(state, here, position.rx_ns)
         at = (0.0, 0.0)
-    track.take_position(position.rx_ns, at, position.sd, position.repeat)
+    track.elsewhere_deg = None
+    track.take_position(position, at, state.screens, state.moving)
 
 
-def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> bool:
-    """Set the origin of the plane here if the position before agrees: a single one may be a first guess.
+def _is_elsewhere(track: Track, here: tuple[float, float]) -> bool:
+    """Whether a receiver has been far from the origin, at one place, for LASTING positions in a row."""
+    before, track.elsewhere_deg = track.elsewhere_deg, here
+    near = before is not None and math.hypot(*to_plane(before, *here)) <= ORIGIN_AGREEMENT
+    track.elsewhere = track.elsewhere + 1 if near else 1
+    return track.elsewhere >= LASTING
 
-    Returns whether the origin was set.
-    """
+
+def _agrees(state: Aligner, here: tuple[float, float]) -> bool:
+    """Whether the position before agrees: a single one may be a first guess."""
     candidate, state.origin_candidate_deg = state.origin_candidate_deg, here
-    if candidate is None or math.hypot(*to_plane(candidate, *here)) > ORIGIN_AGREEMENT:
-        return False
-    state.origin_deg, state.origin_candidate_deg = here, None
+    return candidate is not None and math.hypot(*to_plane(candidate, *here)) <= ORIGIN_AGREEMENT
+
+
+def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> None:
+    """Set the origin of the plane here."""
+    state.origin_deg = here
     state.due_ns = state.due_ns or (rx_ns // POSE_NS + 1) * POSE_NS
+    state.screens.forget_places()
     for track in state.tracks.values():
         track.positions.clear()
-    return True
+        track.elsewhere_deg = None
 
 
 def news(state: Aligner) -> list[tuple[str, str]]:

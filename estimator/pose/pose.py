@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, Aligner, due
+from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, WHEEL, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
@@ -64,17 +64,22 @@ class _Body:
 
 def _pose_at(state: Aligner, t_ns: int) -> Pose:
     flags = _receiver_flags(state, t_ns)
+    late = state.lateness.doubts(t_ns)
+    if late:
+        flags.append(Flag(FlagKind.LATE_FRAMES, "rig"))
     bodies = [_interpolate_body(state, index, t_ns, flags) for index in range(2)]
     for body in bodies:
         _solve_pair(state, body)
-    flags += _withhold_doubtful(state, bodies)
+    flags += _withhold_doubtful(state, bodies, late)
     for body, other in zip(bodies, reversed(bodies), strict=True):
         if body.heading is None and body.antennas:
             _solve_single(state, body, other, t_ns, flags)
-    _update_latency(state, bodies, t_ns)
+    if not late:
+        _update_latency(state, bodies, t_ns)
     for body in bodies:
         _solve_body(state, body, t_ns, flags)
     state.last_pose_ns = t_ns
+    state.moving = bodies[0].velocity is not None and abs(bodies[0].velocity[0]) >= UNDER_WAY
     return _assemble(state, bodies, t_ns, flags)
 
 
@@ -151,20 +156,22 @@ def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:
     return sum(w * v for w, (v, _) in zip(weights, values, strict=True)) / total, math.sqrt(1 / total)
 
 
-def _withhold_doubtful(state: Aligner, bodies: list[_Body]) -> list[Flag]:
-    """Remove the receivers that do not fit the surveyed rig. Returns the flags that say so."""
+def _withhold_doubtful(state: Aligner, bodies: list[_Body], late: bool) -> list[Flag]:
+    """Remove the receivers that do not fit the surveyed rig. Returns the flags that say so. late: whether
+    frames came late, so that nobody need have been moved."""
     antennas = {MOUNTS[i]: antenna for body in bodies for i, antenna in body.antennas.items()}
     speed = max((math.hypot(*a.velocity) for a in antennas.values() if a.velocity), default=0.0)
     smear = max((speed * a.sd_time + a.sd for a in antennas.values()), default=0.0)
     c, d = state.machine.tractor.c.value, state.machine.implement.d.value
     levers = {mount: antenna.lever for mount, antenna in antennas.items()}
     found = plausibility.check_instant({m: a.at for m, a in antennas.items()}, levers, c, d, smear)
-    _update_long_term_means(state, bodies)
+    if not late:
+        _update_long_term_means(state, bodies)
     if not found:
         timing = max((speed * a.sd_time for a in antennas.values()), default=0.0)
         wrong = [*state.long_term.bodies(state.machine, timing), *_reversed_bodies(state, bodies)]
         found = tuple(Flag(FlagKind.MOVED, MOUNTS[i].value) for body in wrong for i in bodies[body].antennas)
-    persistent = state.suspicion.judge(found)
+    persistent = () if late else state.suspicion.judge(found)
     for flag in found:
         index = MOUNTS.index(Mount(flag.of))
         body = bodies[index // 2]
@@ -365,7 +372,8 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[Flag])
         sd_articulation = math.hypot(tractor.sd_heading, implement.sd_heading)
     wheel = sample_at(state.wheel, t_ns, WHEEL_HOLD_NS)
     if wheel is None:
-        flags.append(Flag(FlagKind.LOST if state.wheel_ns else FlagKind.WAITING, "wheel_angle"))
+        kind = FlagKind.LOST if state.wheel_ns else FlagKind.WAITING
+        flags.append(Flag(FlagKind.STANDS_STILL if state.wheel_stands() else kind, WHEEL))
     finest = min(
         (track.utc for track in state.tracks.values() if track.utc.offset_ns is not None),
         key=lambda utc: utc.resolution_s,

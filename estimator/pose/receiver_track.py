@@ -14,12 +14,14 @@ from typing import TypeVar
 from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
 from tilth.estimator.pose.geometry import Vector, wrap
 from tilth.estimator.pose.position_rate import PositionRate, observe
+from tilth.estimator.pose.screen import Reading, Screens
 from tilth.schemas.flow import (
     Attitude,
     Fix,
     FixType,
     Heading,
     Measurement,
+    Position,
     UtcTime,
     Velocity,
     YawRate,
@@ -69,24 +71,37 @@ class Track:
     repeated_epoch_ns: int = 0  # of that position: what is sent with it repeats, too
     rate: PositionRate = field(default_factory=PositionRate)
     smoothed: bool = False  # its turn rates are smoothed (receiver_checks): they are stored, but not used
+    elsewhere_deg: Vector | None = None  # its last position far from the origin, and how many were there
+    elsewhere: int = 0
     left_out: bool = False  # it has been moved (watch): it is stored, but not used
 
-    def take(self, measurement: Measurement) -> None:
-        """Store a measurement other than a position."""
+    def take(self, measurement: Measurement, screens: Screens, moving: bool) -> None:
+        """Store a measurement other than a position, if `screens` does not leave it out. moving: whether the
+        rig moves."""
         epoch_ns = self.clock.other(measurement.rx_ns, measurement.pgn, measurement.sid)
         t_ns = epoch_ns - self.latency_ns
+        who = measurement.origin.mount or ""
+
+        def store(samples: deque[Sample], quantity: str, value: float, sd: float) -> None:
+            if self._repeats(samples, (t_ns, value, sd)):
+                return
+            for at_ns, good, _, sd_good in screens.near(who, quantity, (t_ns, value, 0.0, sd), moving):
+                samples.append((at_ns, good, sd_good))
+
         match measurement:
             case Velocity(course=course, speed=speed, sd=sd):
-                self._add(self.velocities, (t_ns, speed * math.cos(course), speed * math.sin(course), sd))
+                along = (t_ns, speed * math.cos(course), speed * math.sin(course), sd)
+                if not self._repeats(self.velocities, along):
+                    self.velocities.extend(screens.near(who, "velocity", along, moving))
             case YawRate(yaw_rate=rate, sd=sd):
-                self._add(self.yaw_rates, (t_ns, self.yaw_rate_sign * rate, sd))
+                store(self.yaw_rates, "yaw_rate", self.yaw_rate_sign * rate, sd)
             case Attitude(roll=roll, pitch=pitch, sd=sd):
                 if roll is not None:
-                    self._add(self.rolls, (t_ns, self.roll_sign * roll - self.roll_zero, sd))
+                    store(self.rolls, "roll", self.roll_sign * roll - self.roll_zero, sd)
                 if pitch is not None:
-                    self._add(self.pitches, (t_ns, pitch, sd))
+                    store(self.pitches, "pitch", pitch, sd)
             case Heading(heading=heading, sd=sd):
-                self._add(self.headings, (t_ns, heading, sd))
+                store(self.headings, "heading", heading, sd)
             case Fix(fix=fix):
                 self.fix, self.fix_ns = fix, measurement.rx_ns
             case UtcTime(utc_ns=utc_ns, sd=sd):
@@ -94,26 +109,32 @@ class Track:
             case _:
                 pass
 
-    def _add(self, samples: deque[Stamped], sample: Stamped) -> None:
-        """Store a sample, unless it repeats the one before together with a repeated position."""
+    def _repeats(self, samples: deque[Stamped], sample: Stamped) -> bool:
+        """Whether it repeats the one before together with a repeated position."""
         epoch_ns = sample[0] + self.latency_ns
-        if epoch_ns != self.repeated_epoch_ns or not samples or samples[-1][1:] != sample[1:]:
-            samples.append(sample)
+        return epoch_ns == self.repeated_epoch_ns and bool(samples) and samples[-1][1:] == sample[1:]
 
-    def take_position(self, rx_ns: int, at: Vector, sd: float, repeat: bool) -> None:
-        """Store a position (north, east), m. A repeated one counts as new only at standstill."""
+    def take_position(self, position: Position, at: Vector, screens: Screens, moving: bool) -> None:
+        """Store a position, if `screens` does not leave it out. at: north, east, m. A repeated one counts as
+        new only at standstill. moving: whether the rig moves."""
+        rx_ns, repeat = position.rx_ns, position.repeat
         t_ns = self.clock.position(rx_ns) - self.latency_ns
-        moving = bool(self.velocities) and math.hypot(*self.velocities[-1][1:3]) > STANDSTILL
-        if moving:
+        moves = moving or math.hypot(*self._last_velocity() or (0.0, 0.0)) > STANDSTILL
+        if moves:
             observe(self.rate, rx_ns, repeat)
-        if repeat and moving:
+        if repeat and moves:
             self.repeated_ns, self.repeated_epoch_ns = rx_ns, t_ns + self.latency_ns
             return
         if self.positions and t_ns <= self.positions[-1][0]:
             return
         self.last_position_ns = rx_ns
         least_sd = POSITION_SD.get(self.fix, 0.0) if self.fix else 0.0
-        self.positions.append((t_ns, at[0], at[1], max(sd, least_sd)))
+        here: Reading = (t_ns, at[0], at[1], max(position.sd, least_sd))
+        who = position.origin.mount or ""
+        self.positions.extend(screens.near_path(who, here, self._last_velocity()))
+
+    def _last_velocity(self) -> Vector | None:
+        return self.velocities[-1][1:3] if self.velocities else None
 
     def usable(self) -> bool:
         """Whether positions can be used with this fix. A receiver that never reports its fix is trusted."""

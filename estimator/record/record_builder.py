@@ -38,6 +38,7 @@ SETTLING = 10  # segments (2 s) that are driven after a refusal before anything 
 _REFUSING = (
     (MISPLACED, Code.RECEIVERS_MISPLACED),
     (WITHOUT_RTK, Code.NO_RTK),
+    ({FlagKind.LATE_FRAMES}, Code.FRAMES_LATE),
     ({FlagKind.NO_ROLL}, Code.NO_ROLL),
 )
 _HALVES = (0.0, 0.5, 1.0)
@@ -85,6 +86,8 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
         wheel = wheel_angles(aligner.wheel, start.t_ns)
         if wheel is None:
             reason = Code.NO_WHEEL_ANGLE
+        elif aligner.wheel_stands():
+            reason = Code.WHEEL_ANGLE_STANDS
         elif start.values and end.values:
             record = _assemble(start, end, wheel, rows)
     reason = _settle(state, reason or _refusal(start, end, after, record))

@@ -28,6 +28,7 @@ _DISQUALIFYING = (
     (MISPLACED, Code.RECEIVERS_MISPLACED),
     (WITHOUT_RTK, Code.NO_RTK),
     ({FlagKind.LATE}, Code.RECEIVER_LATE),
+    ({FlagKind.LATE_FRAMES}, Code.FRAMES_LATE),
     ({FlagKind.NO_ROLL}, Code.NO_ROLL),  # an unknown side slope of 3 degrees changes C_ai by a third
     (
         {FlagKind.HEADING_BY_HITCH, FlagKind.HEADING_BY_REPORTED, FlagKind.HEADING_BY_YAW_RATE},

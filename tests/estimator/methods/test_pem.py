@@ -1,6 +1,7 @@
 """The fit of all six parameters: on data of its own model, on frames of the virtual tractor, and as a job."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
@@ -260,7 +261,10 @@ def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -
     made = pem.fit(machine, job)
     assert made.changed
     pem.adopt(state, machine, made, 6)
-    assert [kind for kind, _ in take_events(state)] == ["soil_change"]
+    ((kind, text),) = take_events(state)
+    factors = re.findall(r"(\w+) × ([\d.]+) to ([\d.]+)", text)
+    assert kind == "soil_change" and {name for name, _, _ in factors} >= {"C_af", "C_ar", "C_ai"}
+    assert all(float(low) < math.exp(-0.7) < float(high) for _, low, high in factors)
     sd = np.sqrt(np.diag(state.covariance)[SIX])
     assert np.all(np.abs(state.mean[SIX] - truth) < 4.0 * sd)
 

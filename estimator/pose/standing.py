@@ -1,0 +1,177 @@
+"""Readings that stand still although the rig moves as it could not with them: the sensor has failed.
+
+A reading that repeats proves nothing by itself: on a straight line the wheels stand still, and a coarse
+sensor says the same for seconds. So a run of equal readings is compared with what the rig did in it, as
+others measure it: the wheels' angle with the path's, a turn rate with the heading, a velocity with heading
+and speed, a reported heading with the turn rate, a roll with the acceleration in a turn.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, WHEEL, WHEEL_NAME, Aligner
+from tilth.estimator.pose.geometry import wrap
+from tilth.estimator.pose.screen import Screen
+from tilth.schemas.flow import Flag, FlagKind, Pose
+
+STANDS: Final = FlagKind.STANDS_STILL
+MOST_POSES: Final = 50  # 10 s, that are compared
+SETTLED_M, SETTLED_NS = 5.0, 1_000_000_000
+"""After the wheels have come to stand, the path goes on changing until the tyres have rolled so far; half of
+it where a run is unusual for the sensor."""
+LEAST_PATH_ANGLE: Final = math.radians(2.5)
+SLIP_SHARE: Final = 0.35  # of an angle, by which slip changes it, with speed, ground and slope
+SMOOTHING: Final = 3  # poses, in a mean of the path's angle
+LEAST_TURN: Final = 0.1  # rad, between a heading and another measure of it
+LEAST_CHANGE: Final = 0.3  # m/s, of the rig's speed
+LEAST_LEAN: Final = 0.8  # m/s^2 of lateral acceleration: every body leans by a tenth of a degree and more
+
+_WORDS: Final = {
+    "velocity": "velocity", "yaw_rate": "turn rate", "heading": "heading", "roll": "roll",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What the rig did at a pose."""
+
+    t_ns: int
+    speed: float  # m/s
+    way: float  # m, driven since the first of these poses
+    path_angle: float  # rad, of wheels that would roll along the path without slip
+    lateral: float  # m/s^2
+    heading: tuple[float, float]  # of tractor and implement, rad, not wrapped; nan: unknown
+    turned: tuple[float, float]  # integral of their turn rates since the first of these poses, rad
+
+
+@dataclass(slots=True)
+class Standing:
+    """State of the check."""
+
+    poses: list[Moved] = field(default_factory=list)  # in a row, under way
+    reported: list[str] = field(default_factory=list)  # names of the screens that are told to stand still
+
+
+def observe(state: Standing, aligner: Aligner, pose: Pose) -> list[tuple[str, str]]:
+    """Take one pose. Returns (kind, text) of what begins to stand still, or is over."""
+    _add(state, aligner, pose)
+    for name, screen in aligner.screens.by.items():
+        if not screen.failed and screen.run > 1 and _contradicts(state.poses, name, screen):
+            screen.failed = True
+    failed = [name for name, screen in aligner.screens.by.items() if screen.failed]
+    begun = [name for name in failed if name not in state.reported]
+    over = [name for name in state.reported if name not in failed]
+    state.reported = failed
+    return [
+        *((str(STANDS), describe(aligner, name, pose.t_ns)) for name in begun),
+        *((str(STANDS), f"{_subject(name)} moves again") for name in over),
+    ]
+
+
+def flags(state: Standing) -> list[Flag]:
+    """A flag for each sensor of which something stands still."""
+    return sorted({Flag(STANDS, name.partition(" ")[0]) for name in state.reported})
+
+
+def describe(aligner: Aligner, name: str, t_ns: int) -> str:
+    """What stands still, since when, what follows from it, and what to do."""
+    seconds = (t_ns - aligner.screens.by[name].run_ns) * 1e-9
+    text = f"{_subject(name)} stands still: the same reading for {seconds:.1f} s while the rig moved"
+    if name == WHEEL_NAME:
+        return f"{text}. No number is given until it moves again: look at sensor, linkage, plug and cable"
+    return f"{text}. It is not used until it moves again: start the sender anew, look at its cable"
+
+
+def _subject(name: str) -> str:
+    who, _, quantity = name.partition(" ")
+    if who == WHEEL:
+        return "the wheel-angle sensor" if quantity == WHEEL else "the wheels' speed"
+    return f"{who}: its {_WORDS[quantity]}"
+
+
+def _add(state: Standing, aligner: Aligner, pose: Pose) -> None:
+    u, r = pose.tractor.forward_velocity, pose.tractor.yaw_rate
+    if u is None or r is None or abs(u) < UNDER_WAY:
+        state.poses.clear()
+        return
+    before = state.poses[-1] if state.poses else None
+    if before is not None and pose.t_ns - before.t_ns != POSE_NS:
+        state.poses.clear()
+        before = None
+    seconds = POSE_NS * 1e-9 if before else 0.0
+    rates = r, r if pose.implement.yaw_rate is None else pose.implement.yaw_rate
+    headings = pose.tractor.heading, pose.implement.heading
+    past = before or Moved(pose.t_ns, u, 0.0, 0.0, 0.0, (math.nan, math.nan), (0.0, 0.0))
+    tractor, implement = headings
+    turned = past.turned[0] + rates[0] * seconds, past.turned[1] + rates[1] * seconds
+    wheelbase = aligner.machine.tractor.a.value + aligner.machine.tractor.b.value
+    state.poses.append(
+        Moved(
+            pose.t_ns, u, past.way + abs(u) * seconds, math.atan(wheelbase * r / u), u * r,
+            (_unwrapped(tractor, past.heading[0]), _unwrapped(implement, past.heading[1])), turned,
+        )
+    )  # fmt: skip
+    del state.poses[:-MOST_POSES]
+
+
+def _unwrapped(heading: float | None, before: float) -> float:
+    if heading is None:
+        return math.nan
+    return heading if math.isnan(before) else before + wrap(heading - before)
+
+
+def _contradicts(poses: list[Moved], name: str, screen: Screen) -> bool:
+    """Whether the rig has moved, since a run of equal readings began, as it could not with them."""
+    who, _, quantity = name.partition(" ")
+    during = [pose for pose in poses if pose.t_ns >= screen.run_ns]
+    if len(during) < SMOOTHING:
+        return False
+    body = int(who.startswith("implement"))
+    match quantity:
+        case "wheel_angle":
+            return _path_left(during, screen)
+        case "wheel_speed":
+            return _range([pose.speed for pose in during]) > LEAST_CHANGE
+        case "velocity":
+            turned = _range([pose.heading[body] for pose in during]) > LEAST_TURN
+            return turned or _range([pose.speed for pose in during]) > LEAST_CHANGE
+        case "yaw_rate":
+            return _bend([pose.heading[body] for pose in during]) > LEAST_TURN
+        case "heading":
+            return _range([pose.turned[body] for pose in during]) > LEAST_TURN
+        case "roll":  # a receiver that never measured it says 0 for ever
+            return screen.stands and _range([pose.lateral for pose in during]) > LEAST_LEAN
+    return False
+
+
+def _path_left(during: list[Moved], screen: Screen) -> bool:
+    """Whether the path has changed by more than it does while the wheels stand still; of a sensor that never
+    said the same for so long, also whether the path is not that of its reading."""
+    first, share = during[0], 0.5 if screen.stands else 1.0
+    settled = [
+        pose.path_angle
+        for pose in during
+        if pose.way - first.way >= share * SETTLED_M and pose.t_ns - first.t_ns >= share * SETTLED_NS
+    ]
+    means = [sum(settled[k : k + SMOOTHING]) / SMOOTHING for k in range(len(settled) - SMOOTHING + 1)]
+    if not means:
+        return False
+    largest = max(abs(mean) for mean in means)
+    off = _range(means)
+    if screen.stands and screen.raw is not None:
+        largest = max(largest, abs(screen.raw[0]))
+        off = max(off, *(abs(mean - screen.raw[0]) for mean in means))
+    return off > LEAST_PATH_ANGLE + SLIP_SHARE * largest
+
+
+def _bend(headings: list[float]) -> float:
+    """How far headings are from a steady turn, which a reading that is off by a constant may show."""
+    known = [heading for heading in headings if not math.isnan(heading)]
+    steps = max(len(known) - 1, 1)
+    return _range([heading - (known[-1] - known[0]) * k / steps for k, heading in enumerate(known)])
+
+
+def _range(values: list[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return max(known) - min(known) if known else 0.0
