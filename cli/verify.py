@@ -9,6 +9,7 @@ from typing import Any
 from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Coverage, RunSurvey, survey
+from tilth.schemas.flow import EventKind
 
 MOST_GAPS = 3
 STEPPED = "clock_stepped"  # a fault that the steps themselves tell
@@ -56,7 +57,7 @@ def _lines(one: RunSurvey) -> list[str]:
     for step_s in one.steps_s:
         lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
     lines.append(f"  UTC {_utc_source(one)}")
-    lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == "mark"]
+    lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == EventKind.MARK]
     lines += [f"  WRONG: {what}" for what in one.wrong]
     if one.goes_on_in:
         lines.append(f"  goes on in {one.goes_on_in}, which was not read")

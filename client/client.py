@@ -17,9 +17,9 @@ import zenoh
 from tilth.client.latest import Latest, Linear, Staleness, judge, linear
 from tilth.client.link import ENDING_S, ENDPOINT, Link, base_key, open_session
 from tilth.client.received import HeardRig, Refused, answered_age, estimate_of, event_of, rig_of_message
-from tilth.schemas.flow import Estimate, Event
+from tilth.schemas.flow import Estimate, Event, EventKind
 
-SOIL_CHANGE: Final = "soil_change"  # kind of the event
+SOIL_CHANGE: Final = EventKind.SOIL_CHANGE  # kind of the event
 WAITING: Final = 256  # calls that may wait for a slow callback; further ones are dropped and counted
 _DRIFT: Final = 1e-4  # of two computers' clocks against each other, at most
 _ANOTHER_CLOCK_S: Final = 60.0  # no connection holds a message back so long and lives

@@ -39,6 +39,7 @@ from tilth.schemas.flow import (
     Accepted,
     Estimate,
     Event,
+    EventKind,
     FitOutcome,
     Flag,
     FlagKind,
@@ -197,7 +198,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
         _clock_stepped(state, frame.t_ns, jump_ns, out)
     elif jump_ns >= log_time.SILENCE_NS:
         text = f"no frame for {jump_ns * 1e-9:.1f} s"
-        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, "gap", text)))
+        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, text)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
     now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
     if state.recognition.before:
@@ -407,7 +408,7 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     state.consistency = consistency.initial(state.machine)
     state.previous_run = {}
     _reset_estimators(state, t_ns)
-    _publish_event(state, t_ns, "accepted", acceptance(machine, accepted), out)
+    _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(machine, accepted), out)
     return out
 
 
@@ -430,9 +431,11 @@ def _publish_event(state: State, t_ns: int, kind: str, text: str, out: list[Publ
 def _publish_events(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
     """Publish the events of a method since the last call."""
     for kind, text in take_events(state.estimators[row.method]):
-        if state.consistency.confirmed or kind != "soil_change":  # before that, the file may be the cause
+        if (
+            state.consistency.confirmed or kind != EventKind.SOIL_CHANGE
+        ):  # before that, the file may be the cause
             _publish_event(state, t_ns, kind, text, out)
-            if kind == "soil_change":
+            if kind == EventKind.SOIL_CHANGE:
                 consistency.soil_changed(state.consistency, state.machine)
 
 
@@ -447,7 +450,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
         return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:
-        _publish_event(state, t_ns, "disagreement", sentence(found), out)
+        _publish_event(state, t_ns, EventKind.DISAGREEMENT, sentence(found), out)
     state.disagree = bool(found)
     best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
     out.append(Publication(t_ns, "/soil_tire", best))
@@ -523,4 +526,4 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
         return
     state.clock_steps += 1
     text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"
-    out.append(Publication(t_ns, "/event", Event(t_ns, "clock_step", text)))
+    out.append(Publication(t_ns, "/event", Event(t_ns, EventKind.CLOCK_STEP, text)))

@@ -18,6 +18,7 @@ from tilth.logger.clock import Clock, boot_id
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.run_log import Recording
 from tilth.logger.warm_start_file import Report, write
+from tilth.schemas.flow import EventKind
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 
@@ -56,7 +57,7 @@ class AddressMemory:
             known = read(self._path, self._sha256, self._clock)
         except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
             why = f"{self._path} cannot be used ({error})"
-            self._report("addresses", f"who had which address in earlier runs is not known: {why}")
+            self._report(EventKind.ADDRESSES, f"who had which address in earlier runs is not known: {why}")
             return False
         self._fold.recall(known)
         return bool(known)

@@ -35,7 +35,7 @@ from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh.liveness import Sensors
 from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
-from tilth.schemas.flow import Event, Frame, Measurement, Ready, UtcTime
+from tilth.schemas.flow import Event, EventKind, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -201,7 +201,7 @@ class Daemon:
         if step_ns:
             self.parts.counts.clock_steps += 1
             step = f"the computer's clock was set by {step_ns * 1e-9:+.3f} s"
-            self._report("clock", f"{step}; the log's own clock goes on evenly")
+            self._report(EventKind.CLOCK, f"{step}; the log's own clock goes on evenly")
             self.parts.outlets.recording.clocks(ClockReason.STEP)
 
     def _report(self, kind: str, text: str) -> None:

@@ -19,6 +19,7 @@ from typing import Any, Final, Protocol
 
 from tilth.logger.fit_worker import Answer, make
 from tilth.logger.priority import FITS, stand_behind
+from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 
 UNDECIDED: Final = object()
@@ -207,7 +208,7 @@ class Worker:
             why_not = stand_behind(FITS, self._process.pid)
         if why_not and not self._said_priority:
             self._said_priority = True
-            self._report("fit", f"fits are made at the recorder's own priority: {why_not}")
+            self._report(EventKind.FIT, f"fits are made at the recorder's own priority: {why_not}")
         _send(self._process, self._machine)
         return self._process
 
@@ -243,7 +244,7 @@ def _send(process: subprocess.Popen[bytes], value: Any) -> None:
 
 
 def _report_failure(report: Report, method: str, error: str) -> None:
-    report("fit", f"a fit of {method} failed: {error}")
+    report(EventKind.FIT, f"a fit of {method} failed: {error}")
 
 
 class ReplayedFits:

@@ -38,6 +38,7 @@ from tilth.schemas.flow import (
     Accepted,
     Estimate,
     Event,
+    EventKind,
     FitOutcome,
     Frame,
     Origin,
@@ -325,7 +326,7 @@ class GuardedFold:
         self._resume_ns = t_ns + PAUSE_NS
         reason = f"the estimators failed ({type(error).__name__}: {error}) and start again; frames are logged"
         none = tuple(ParameterEstimate(None, None, Status.INVALID, text_reason(reason)) for _ in PARAMETERS)
-        publications = [Publication(t_ns, "/event", Event(t_ns, "fault", reason))]
+        publications = [Publication(t_ns, "/event", Event(t_ns, EventKind.FAULT, reason))]
         for topic, method in _METHOD_OF.items():
             if method in self.estimates:
                 publications.append(Publication(t_ns, topic, Estimate(t_ns, method, "", none, (), ())))

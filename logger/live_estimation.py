@@ -6,6 +6,7 @@ from collections.abc import Callable
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.preparing import Preparing
+from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 
 
@@ -26,7 +27,7 @@ class LiveEstimation:
         """With the next frame, which the caller logs before."""
         if seconds := self.preparing.seconds:
             text = f"kernels were compiled for {seconds:.0f} s while frames were recorded; estimates begin"
-            self._report("compiled", text)
+            self._report(EventKind.COMPILED, text)
         self.fold.ready = True
         gc.freeze()  # what was compiled or loaded stays
 

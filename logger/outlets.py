@@ -11,7 +11,7 @@ from tilth.logger.log.run_log import Recording
 from tilth.logger.zenoh.session import why
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import Estimate, Event
+from tilth.schemas.flow import Estimate, Event, EventKind
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
 
@@ -35,10 +35,10 @@ class Outlets:
             self.sink = open_sink()
         except ZError as error:
             self._no_session = f"nothing is published: {why(error)}; correct [zenoh] in the machine file"
-            self._events.append(("zenoh", self._no_session))
+            self._events.append((EventKind.ZENOH, self._no_session))
             return
         if self.sink.note:
-            self._events.append(("zenoh", self.sink.note))
+            self._events.append((EventKind.ZENOH, self.sink.note))
 
     @property
     def zenoh_problem(self) -> str:

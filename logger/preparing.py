@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import Final
 
 from tilth.logger import compiling, priority
+from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 
 LOADING: Final = "loading kernels"
@@ -81,7 +82,9 @@ class Preparing:
             return
         except Exception as error:  # whatever it is, the fold has a guard of its own
             what = f"{type(error).__name__}: {error}"
-            self._report("compiled", f"kernels could not be prepared ({what}); estimates may come late")
+            self._report(
+                EventKind.COMPILED, f"kernels could not be prepared ({what}); estimates may come late"
+            )
         self.text, self.ready = "", True
 
     def _compile(self, anew: bool) -> None:
@@ -91,7 +94,7 @@ class Preparing:
             compiling.cache_folder(self._machine)
         except compiling.NoCacheFolder as why:
             self._anew(str(why))
-        self._report("compiled", f"{self.text}: {FOLLOW}")
+        self._report(EventKind.COMPILED, f"{self.text}: {FOLLOW}")
         self._compile_in_process()
         compiling.prepare(self._machine, self._progress)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
@@ -99,7 +102,7 @@ class Preparing:
     def _anew(self, why: str) -> None:
         """Lend a folder for this run; without one the kernels are compiled here."""
         self.text = ANEW
-        self._report("compiled", why)
+        self._report(EventKind.COMPILED, why)
         folder = os.devnull  # where nothing can be kept, nor found
         with contextlib.suppress(OSError):
             folder = self._lent.enter_context(
@@ -116,7 +119,7 @@ class Preparing:
             why_not = str(error)
         if why_not and not self._closing:
             now = "it is done beside the recording, which takes frames later than usual meanwhile"
-            self._report("compiled", f"the process that compiles has failed ({why_not}); {now}")
+            self._report(EventKind.COMPILED, f"the process that compiles has failed ({why_not}); {now}")
 
     def _process_ends(self) -> int:
         """Its exit status. Raises OSError where it cannot be started."""
@@ -131,7 +134,9 @@ class Preparing:
             )
             why_not = priority.stand_behind(priority.COMPILING, self._process.pid)
         if why_not:
-            self._report("compiled", f"kernels are compiled at the recorder's own priority: {why_not}")
+            self._report(
+                EventKind.COMPILED, f"kernels are compiled at the recorder's own priority: {why_not}"
+            )
         assert self._process.stdin is not None and self._process.stdout is not None
         with self._process:
             with contextlib.suppress(BrokenPipeError):  # its status tells

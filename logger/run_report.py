@@ -22,6 +22,7 @@ from tilth.logger.log.derived import reports_in
 from tilth.logger.outlets import Outlets
 from tilth.logger.priority import REPORTS, stand_behind
 from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import EventKind
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.limiter import Limiter
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -128,10 +129,10 @@ class RunReport:
         state = pb.ReportState(state="failed" if why else "ready", began_ns=began_ns)
         state.text, state.ended_ns = readable(why or out.name), self._clock.t_ns()
         if why:
-            self._report("report", f"no report of the run so far: {why}")
+            self._report(EventKind.REPORT, f"no report of the run so far: {why}")
         else:
             self._last = out
-            self._report("report", f"report of the run so far: {out}")
+            self._report(EventKind.REPORT, f"report of the run so far: {out}")
         self._states.append(state)
 
     def _run(self, logs: Sequence[Path]) -> tuple[Path, str]:
@@ -150,7 +151,9 @@ class RunReport:
                     words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
                 )
                 if why_not := stand_behind(REPORTS, self._process.pid):
-                    self._report("report", f"the report is made at the recorder's own priority: {why_not}")
+                    self._report(
+                        EventKind.REPORT, f"the report is made at the recorder's own priority: {why_not}"
+                    )
                 try:
                     status = self._process.wait(LONGEST_S)
                 except subprocess.TimeoutExpired:

@@ -15,7 +15,7 @@ from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.watch import Moved
 from tilth.logger.log import whole_file
-from tilth.schemas.flow import Accepted
+from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine
 
 FORMAT: Final = 1
@@ -123,7 +123,7 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     try:
         found = read(path, machine, t_ns)
     except NotUsable as why_not:
-        report("warm_start", f"what earlier runs learned is not used: {why_not}")
+        report(EventKind.WARM_START, f"what earlier runs learned is not used: {why_not}")
         return False
     if found is None:
         return False
@@ -131,10 +131,10 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     used = [method for method, refusal in refusals.items() if not refusal]
     for method, refusal in refusals.items():
         if refusal:
-            report("warm_start", f"what {method} learned in earlier runs is not used: {refusal}")
+            report(EventKind.WARM_START, f"what {method} learned in earlier runs is not used: {refusal}")
     if used:
         names, hours = ", ".join(used), found.elapsed_s / 3600.0
-        report("warm_start", f"{names} go on from what was learned until {hours:.1f} h ago")
+        report(EventKind.WARM_START, f"{names} go on from what was learned until {hours:.1f} h ago")
     for one in found.accepted:
         report(
             "accepted", f"{one.what} is as it was accepted in an earlier run, not as the machine file says"

@@ -28,7 +28,7 @@ from tilth.schemas.channels import (
     decode_addresses,
     payload,
 )
-from tilth.schemas.flow import Accepted, Estimate, Event, Frame, Origin, Pose, Publication
+from tilth.schemas.flow import Accepted, Estimate, Event, EventKind, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
@@ -225,7 +225,9 @@ class _Run:
 
     def _gap(self, log: OpenLog, gap: Gap) -> None:
         """Messages are missing: what the fold was live from here on, the next stored state tells."""
-        event = Publication(gap.t_ns, "/event", Event(gap.t_ns, "gap", f"{log.path.name}: {gap.text}"))
+        event = Publication(
+            gap.t_ns, "/event", Event(gap.t_ns, EventKind.GAP, f"{log.path.name}: {gap.text}")
+        )
         if self._outputs.comparison is not None:
             self._outputs.comparison.lose_track()
         self._put([(event, payload(event))])
@@ -334,7 +336,9 @@ class _Run:
         text = f"its stored state is not used: {reason}; going on without it"
         self._say(f"{log.path}: {text}")
         event = Publication(
-            stored.t_ns, "/event", Event(stored.t_ns, "stored_state", f"{readable(log.path.name)}: {text}")
+            stored.t_ns,
+            "/event",
+            Event(stored.t_ns, EventKind.STORED_STATE, f"{readable(log.path.name)}: {text}"),
         )
         self._put([(event, payload(event))])
 

@@ -21,6 +21,7 @@ from tilth.replay.readers.log import EmptyLog, ForeignLog, LogError
 from tilth.replay.survey import messages_in
 from tilth.replay.turns import turns
 from tilth.schemas.channels import CHANNELS
+from tilth.schemas.flow import EventKind
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
 
@@ -254,7 +255,7 @@ def _places(
         event = pb.Event.FromString(row.data)
         if event.kind not in NO_PLACES:
             place = Place(row.at_ns, row.t_ns, event.kind, event.text)
-            (marks if event.kind == "mark" else others).append(place)
+            (marks if event.kind == EventKind.MARK else others).append(place)
     for turn in turns(yaw_rates):
         number = bisect_right(poses, turn.begin_ns, key=lambda pose: pose.at_ns) - 1
         pose = poses[max(0, number)]

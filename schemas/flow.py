@@ -375,12 +375,37 @@ class Estimate:
     advice: Advice | None = None  # which manoeuvre would help, and by how much
 
 
+class EventKind(StrEnum):
+    """What kind an event is of, besides the kinds of flags (FlagKind), which are events when they begin and
+    end."""
+
+    ACCEPTED = "accepted"  # the operator has accepted a value that the watch has found
+    ADDRESSES = "addresses"
+    BUS = "bus"
+    CLOCK = "clock"  # the computer's clock was set
+    CLOCK_STEP = "clock_step"  # the log's clock stepped
+    COMPILED = "compiled"
+    DISAGREEMENT = "disagreement"  # of methods
+    FAULT = "fault"  # of the program
+    FIT = "fit"
+    GAP = "gap"
+    LOG = "log"
+    MARK = "mark"  # by the operator; the text is theirs
+    MOVED = "moved"
+    OTHER_CLOCK = "other_clock"
+    REPORT = "report"
+    SOIL_CHANGE = "soil_change"
+    STORED_STATE = "stored_state"
+    WARM_START = "warm_start"
+    ZENOH = "zenoh"
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that happened and will be asked about later."""
 
     t_ns: int
-    kind: str
+    kind: str  # of EventKind or FlagKind
     text: str
     latitude_deg: float | None = None  # of the tractor's CG, where that matters
     longitude_deg: float | None = None

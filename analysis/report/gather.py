@@ -20,9 +20,9 @@ from tilth.analysis.runs.run import RECOMMENDED, Run
 from tilth.analysis.runs.segments import LONGEST_GAP_S, DrivenSegment, all_segments, tells
 from tilth.analysis.runs.table import Table
 from tilth.estimator.filters import unknowns
-from tilth.schemas.flow import PARAMETERS, Mount, Status
+from tilth.schemas.flow import PARAMETERS, EventKind, Mount, Status
 
-SOIL_CHANGE: Final = "soil_change"
+SOIL_CHANGE: Final = EventKind.SOIL_CHANGE
 CONTRADICTION: Final = "contradiction"
 STILL: Final = 0.2  # m/s: slower is standing
 SPACINGS: Final = 4.0  # times the usual spacing, and SHORTEST_S: a gap of a sensor

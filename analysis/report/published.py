@@ -24,7 +24,7 @@ from tilth.analysis.report.wording import (
     parameter_text,
     seconds,
 )
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.flow import PARAMETERS, EventKind
 
 RECOMMENDED: Final = "recommended"
 FAR: Final = 2.0  # sds from what was assumed: named in words
@@ -72,7 +72,7 @@ def values_table(run: Mapping[str, Any], id: str) -> ReportTable:
 
 def _over_time(run: Mapping[str, Any], id: str) -> ReportFigure:
     curves = run["curves"]["parameters"]
-    changes = [event["t_s"] for event in run["events"] if event["kind"] == "soil_change"]
+    changes = [event["t_s"] for event in run["events"] if event["kind"] == EventKind.SOIL_CHANGE]
     names = listed([METHODS[method] for method in curves])
     return ReportFigure(
         f"{id}-parameters", "parameters",

@@ -32,11 +32,12 @@ from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.replay.readers.rig import machine_in
 from tilth.replay.simulated import REPLAY, SAID, simulated_by
 from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
 
-MARK: Final = "mark"  # kind of the events that an operator makes
+MARK: Final = EventKind.MARK  # kind of the events that an operator makes
 RECOMMENDED: Final = "recommended"
 
 

@@ -36,7 +36,7 @@ from tilth.estimator.results.reporting import (
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
-from tilth.schemas.flow import PARAMETERS, Estimate, Pose
+from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import sentence
@@ -292,20 +292,20 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
-        state.events.append(("fit", sentence(late_reason(state.late_ns, False))))
+        state.events.append((EventKind.FIT, sentence(late_reason(state.late_ns, False))))
         return estimate(state, machine, t_ns)
     if state.late_ns:
         state.late += 1
-        state.events.append(("fit", sentence(late_reason(state.late_ns, True))))
+        state.events.append((EventKind.FIT, sentence(late_reason(state.late_ns, True))))
     state.last = made
     if made.refused:
         refuse(state, made.refused)
-        state.events.append(("fit", sentence(Reason(made.refused))))
+        state.events.append((EventKind.FIT, sentence(Reason(made.refused))))
         return estimate(state, machine, t_ns)
     if made.changed:
         state.changes += 1
         state.window_s = 0.0
-        state.events.append(("soil_change", _describe_change(job, made)))
+        state.events.append((EventKind.SOIL_CHANGE, _describe_change(job, made)))
     state.model_sd, state.covariance = _learned_with(state, job, made)
     state.mean = made.mean
     state.informed_ns = job.closed_ns

@@ -47,7 +47,7 @@ from tilth.estimator.results.reporting import (
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
-from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code, Reason
 
@@ -262,7 +262,7 @@ def _reset_stiffness(state: SteadyState) -> None:
     if state.steady_s > 0:
         no_longer_fits = f"outputs no longer fit what {state.steady_s:.0f} s of turning taught"
         text = f"{no_longer_fits}: the stiffnesses are learned anew"
-        state.events.append(("soil_change", text))
+        state.events.append((EventKind.SOIL_CHANGE, text))
     changed = [0, 1, 2, *SOIL]
     state.P[changed, :] = 0.0
     state.P[:, changed] = 0.0

@@ -51,7 +51,7 @@ from tilth.estimator.results.reporting import (
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
-from tilth.schemas.flow import PARAMETERS, Estimate, Pose
+from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code
@@ -393,7 +393,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.window_s = state.tight_s = state.hard = 0.0
     # That something has changed is known seconds before it is known what, and by how much.
     text = "the soil holds the tyres differently: what was learned of it before is given up"
-    state.events.append(("soil_change", f"{text}; by how much shows as driving tells it"))
+    state.events.append((EventKind.SOIL_CHANGE, f"{text}; by how much shows as driving tells it"))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:

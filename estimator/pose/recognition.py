@@ -23,7 +23,7 @@ from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.geometry import Vector, to_plane, wrap
 from tilth.estimator.pose.receiver_track import sample_at
-from tilth.schemas.flow import Mount, Position
+from tilth.schemas.flow import EventKind, Mount, Position
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 
@@ -49,7 +49,7 @@ FORWARD: Final = 0.5  # log-likelihood of a metre forwards
 MOST_FORWARD: Final = 10.0
 CLEAR: Final = 8.0  # by which an assignment must be better than any other
 
-EVENT: Final = "addresses"
+EVENT: Final = EventKind.ADDRESSES
 Place = tuple[str, int]  # bus, source
 
 

@@ -36,12 +36,12 @@ from tilth.estimator.watch.suspects import (
     suspects,
 )
 from tilth.estimator.watch.wheel_speed import WheelSpeedState
-from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
+from tilth.schemas.flow import WITHOUT_RTK, Accepted, EventKind, Mount, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-EVENT: Final = "moved"  # kind of the events
+EVENT: Final = EventKind.MOVED  # kind of the events
 SLOWEST: Final = 1.0  # m/s
 BLOCK: Final = 100  # samples (20 s)
 SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved

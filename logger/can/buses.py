@@ -14,7 +14,7 @@ from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.can.port import STAMPED, Port, StampedBy
 from tilth.logger.can.port_threads import Opener, PortThreads
 from tilth.logger.clock import Clock
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import EventKind, Frame
 from tilth.schemas.machine import Bus
 
 BATCH = 32  # frames taken from one bus before the others have their turn
@@ -222,7 +222,7 @@ class Buses:
             self._event(bus, f"{reason}; it is tried again {so_far}")
 
     def _event(self, bus: LiveBus, text: str) -> None:
-        self._report("bus", f"{bus.name}: {text}")
+        self._report(EventKind.BUS, f"{bus.name}: {text}")
 
     def _release(self, bus: LiveBus) -> Port | None:
         """Take the port from the loop, to be closed elsewhere."""
@@ -244,7 +244,7 @@ class Buses:
     def _adopt(self) -> None:
         """Take up what the threads have done."""
         for complaint in self._threads.complaints():
-            self._report("bus", complaint)
+            self._report(EventKind.BUS, complaint)
         for bus, attempt, result in self._threads.opened():
             if attempt != bus.connection.attempt:  # given up meanwhile
                 if not isinstance(result, BaseException):

@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 import zenoh
 
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import Event
+from tilth.schemas.flow import Event, EventKind
 from tilth.schemas.limiter import Limiter
 
 MOST_BYTES: Final = 1024  # of UTF-8
 MOST_WAITING: Final = 16  # not answered yet; a person is slower
 EACH: Final = 8  # of them, of one client
-KIND: Final = "mark"  # of the event, and the last part of the key
+KIND: Final = EventKind.MARK  # of the event, and the last part of the key
 
 
 class OrderWords(NamedTuple):

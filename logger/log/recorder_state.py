@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping
 from enum import Enum, auto
 
+from tilth.schemas.flow import EventKind
+
 
 class RecorderState(Enum):
     RECORDING = auto()  # what is written reaches the disk
@@ -89,4 +91,4 @@ class RecorderStates:
         self.after(happening)
         self.problem = f"not recording: {why}"
         if not known:
-            self._report("log", self.problem)
+            self._report(EventKind.LOG, self.problem)

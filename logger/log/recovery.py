@@ -33,6 +33,7 @@ from tilth.logger.log.mcap_file import (
 )
 from tilth.logger.log.mcap_index import IndexedCopy
 from tilth.logger.log.mcap_records import TILTH, McapRecords
+from tilth.schemas.flow import EventKind
 from tilth.schemas.invocation import command
 
 COPY: Final = ".recovering"  # behind a file's name: of the copy that is to take its place
@@ -150,9 +151,9 @@ def finish_all(
         except FileNotFoundError:  # deleted meanwhile to make room
             continue
         except Exception as error:  # whatever lies there, those after it are finished
-            report("log", f"{path.name} was left unfinished and stays so: {error}")
+            report(EventKind.LOG, f"{path.name} was left unfinished and stays so: {error}")
         else:
-            report("log", f"{path.name} was left unfinished; finished now: {done.messages} messages")
+            report(EventKind.LOG, f"{path.name} was left unfinished; finished now: {done.messages} messages")
 
 
 def is_ours(file: BinaryIO, size: int) -> bool:

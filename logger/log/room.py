@@ -5,6 +5,7 @@ from pathlib import Path
 
 from tilth.logger.log.derived import reports_in
 from tilth.logger.log.runs import delete, may_go, stored_runs
+from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Log
 
 LEAST_BYTES = 16e6  # above what is left alone: less is not worth a file
@@ -53,5 +54,5 @@ class Room:
         for run in stored_runs(self._folder):
             if run.name != current and may_go(run, utc_ns, self._log.expire_days):
                 size = delete(run)
-                self._report("log", f"{run.name} was deleted to make room: {size / 1e6:.0f} MB")
+                self._report(EventKind.LOG, f"{run.name} was deleted to make room: {size / 1e6:.0f} MB")
                 return

@@ -12,6 +12,7 @@ from tilth.logger.clock import WRONG_NS, Clock
 from tilth.logger.log.disk import Disk, Spool
 from tilth.logger.log.mcap_log import RunPart
 from tilth.logger.log.runs import file_name, unused_name
+from tilth.schemas.flow import EventKind
 
 Report = Callable[[str, str], None]  # kind and text of an event
 
@@ -70,7 +71,7 @@ class RunFiles:
         if abs(correction_ns - self._correction_ns) <= WRONG_NS:
             return False
         self._correction_ns = correction_ns
-        report("clock", f"the computer's clock is {_span(correction_ns)} than UTC; the log says so")
+        report(EventKind.CLOCK, f"the computer's clock is {_span(correction_ns)} than UTC; the log says so")
         self.choose_name()
         return True
 

@@ -21,7 +21,7 @@ from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderSt
 from tilth.logger.log.room import Room
 from tilth.logger.log.run_files import Report, RunFiles
 from tilth.schemas.channels import ADDRESSES_TOPIC, encode_addresses
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import EventKind, Frame
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 
@@ -158,7 +158,9 @@ class Recording:
 
     def on_disk_thread(self, job: Callable[[], None]) -> None:
         """Run a job in the disk thread that the log does not depend on; what it raises is reported."""
-        self._disk.do_independent(job, lambda error: self._report("log", _sentence(error, self.folder)))
+        self._disk.do_independent(
+            job, lambda error: self._report(EventKind.LOG, _sentence(error, self.folder))
+        )
 
     def settle(self, then: Callable[[str], None]) -> None:
         """Call `then`, in another thread, when all that was logged is on the disk: with "", or why not."""
@@ -195,7 +197,9 @@ class Recording:
         stopped = self._disk.stop()
         self._look_at_closed(at_end=True)
         if not stopped:
-            self._report("log", f"{self.folder}: the disk does not answer; the end of the log may be missing")
+            self._report(
+                EventKind.LOG, f"{self.folder}: the disk does not answer; the end of the log may be missing"
+            )
 
     def _keep_up(self, file: OpenFile) -> None:
         """All is well until now: flush, and see whether it still is."""
@@ -225,7 +229,7 @@ class Recording:
     def _say_unlocked(self, file: OpenFile) -> None:
         if not (file.spool.locked or self._said_unlocked):
             self._said_unlocked = True
-            self._report("log", f"{self.folder}: {UNLOCKED}")
+            self._report(EventKind.LOG, f"{self.folder}: {UNLOCKED}")
 
     def _is_silent(self) -> bool:
         """Whether no frame has come for so long that the ignition must be off."""
@@ -239,7 +243,7 @@ class Recording:
             self._back_off.worked()
         if self._states.state is RecorderState.TRYING:
             name = file.spool.path.name
-            self._report("log", f"recording again in {name}; {self.missed} frames were not recorded")
+            self._report(EventKind.LOG, f"recording again in {name}; {self.missed} frames were not recorded")
         self._states.after(Happening.ON_DISK)
 
     def _finish(self, file: OpenFile, why: ClockReason) -> None:
@@ -269,7 +273,7 @@ class Recording:
         for spool in self.counts.take_closed(at_end):
             if spool.error is not None and spool.opened:
                 text = f"the end of the log may be missing: {_sentence(spool.error, spool.path)}"
-                self._report("log", text)
+                self._report(EventKind.LOG, text)
             elif spool.error is not None:  # a last try, of which nothing is there
                 self._states.failed(Happening.EARLIER_FAILED, _sentence(spool.error, self.folder))
 
@@ -310,7 +314,7 @@ class Recording:
         self._now_ns = self._last_frame_ns = t_ns
         self._run.begin_run()
         self._open(with_state=True)
-        self._report("log", f"ignition is on: a new run begins in {self._run.newest.name}")
+        self._report(EventKind.LOG, f"ignition is on: a new run begins in {self._run.newest.name}")
 
     def _make_room(self, t_ns: int) -> None:
         if self._room.is_wanted(self._disk.free_bytes, t_ns):
