@@ -31,14 +31,20 @@ _UNITS: Final = {  # by their first three letters
     "ms": 1_000_000, "mse": 1_000_000, "mil": 1_000_000, "s": 1_000_000_000, "sec": 1_000_000_000,
 }  # fmt: skip
 _BYTE: Final = re.compile(r"(?:d|b|db|data|byte|databyte)\d{1,2}")
-_YES: Final = frozenset(("1", "true", "t", "yes", "y", "x", "ext", "extended", "29", "29bit", "ide"))
-_NO: Final = frozenset(("", "0", "false", "f", "no", "n", "s", "std", "standard", "11", "11bit", "-"))
+_YES: Final = frozenset((
+    "1", "true", "t", "yes", "y", "x", "ext", "extended", "29", "29bit", "ide",
+    "wahr", "vrai", "vero", "verdadero", "verdadeiro", "waar",  # as spreadsheets save it
+))  # fmt: skip
+_NO: Final = frozenset((
+    "", "0", "false", "f", "no", "n", "s", "std", "standard", "11", "11bit", "-",
+    "falsch", "faux", "falso", "onwaar",
+))  # fmt: skip
 _FD_BYTES: Final = {9: 12, 10: 16, 11: 20, 12: 24, 13: 32, 14: 48, 15: 64}  # DLC -> bytes
 LAST_ID: Final = 0x1FFFFFFF
 
 
 def plain(name: str) -> str:
-    return re.sub("[^a-z0-9]", "", name.lower().replace("µ", "u").replace("μ", "u"))
+    return re.sub("[^a-z0-9]", "", re.sub("[µμ\ufffd]", "u", name.lower()))
 
 
 @lru_cache(maxsize=1024)

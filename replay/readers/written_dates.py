@@ -16,7 +16,7 @@ from typing import Final
 from tilth.replay.readers.text_clock import SECOND, nanoseconds
 
 _MONTHS: Final = (
-    "january januar janvier gennaio enero janeiro",
+    "january januar jänner janvier gennaio enero janeiro",
     "february februar février fevrier febbraio febrero fevereiro",
     "march märz maerz mars marzo março marco maart mrt",
     "april avril aprile abril",

@@ -43,7 +43,7 @@ DATES = (
 MONTHS = (
     "Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec",
     "Jan Feb Mär Apr Mai Jun Jul Aug Sep Okt Nov Dez",
-    "Jan Feb Mrz Apr Mai Juni Juli Aug Sept Okt Nov Dez",
+    "Jän Feb Mrz Apr Mai Juni Juli Aug Sept Okt Nov Dez",
     "janv. févr. mars avr. mai juin juil. août sept. oct. nov. déc.",
     "gen feb mar apr mag giu lug ago set ott nov dic",
     "ene. feb. mar. abr. may. jun. jul. ago. sept. oct. nov. dic.",

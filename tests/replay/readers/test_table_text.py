@@ -81,6 +81,8 @@ ROWS: tuple[tuple[str, str, Frame | str], ...] = (
     (GVRET, "166000000,18FEF31C,true,Rx,0,2,11,27,", frame(166 * SECOND, X, "1127")),
     (GVRET, "166000000,0x18FEF31C,TRUE,Tx,1,2,0x11,0x7,", frame(166 * SECOND, X, "1107", "can1")),
     (GVRET, "166000000,00000123,false,Rx,0,0,", frame(166 * SECOND, 0x123, "", extended=False)),
+    (GVRET, "166000000,123,WAHR,Rx,0,1,11", frame(166 * SECOND, 0x123, "11")),  # a German spreadsheet's
+    (GVRET, "166000000,123,FAUX,Rx,0,1,11", frame(166 * SECOND, 0x123, "11", extended=False)),
     (GVRET, "166.25,18FEF31C,1,Rx,0,1,11", frame(166_250_000_000, X, "11")),
     (GVRET, "166000000,418316060,true,Rx,0,3,255,0,17", frame(166 * SECOND, 0x18EEFF1C, "FF0011")),
     (GVRET, "166000000,98FEF31C,false,Rx,0,1,11", frame(166 * SECOND, X, "11")),
@@ -142,6 +144,13 @@ def test_rows(head: str, row: str, wanted: Frame | str, tmp_path: Path) -> None:
     assert log.skipped == {"unreadable_line": 1 + bad.get("unreadable_line", 0)} | (
         {wanted: 2} if isinstance(wanted, str) and not bad else {}
     )
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "cp850"])
+def test_microseconds_in_any_encoding(encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_bytes("Time (µs);ID;Length;Data\n5000;18FEF31C;1;11\n".encode(encoding))
+    assert list(open_log(path).records) == [frame(5_000_000, X, "11")]
 
 
 @pytest.mark.parametrize(("head", "row", "wanted"), [row for row in ROWS if isinstance(row[2], Frame)])
