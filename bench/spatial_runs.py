@@ -32,6 +32,7 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.sentences import sentence
 from tilth.simulator.scenario import Fieldwork, from_json
 
 Array = NDArray[np.float64]
@@ -139,7 +140,7 @@ class Heard:
             "per_mass": self._per_mass(name, float(error[2]), float(sd[2])),
             "nuisances": nuisance_errors(self.machine, self.run, self.last[name]),
             "first_s": first,
-            "reasons": [p.reason for p in self.last[name].parameters],
+            "reasons": [sentence(p.reason) for p in self.last[name].parameters],
             "run_ends": at_ends,
             "series": thinned(series).tolist(),
             "whole": whole_near(series, row.informed_s) if row.informed_s else [],

@@ -20,7 +20,7 @@ from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.recognition import Recognition
-from tilth.estimator.pose.standing import Standing
+from tilth.estimator.pose.standing import StandingCheck
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Segment
 from tilth.estimator.record.record_builder import RecordState
@@ -76,7 +76,7 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
-    standing: Standing = field(default_factory=Standing)  # sensors that have failed
+    standing: StandingCheck = field(default_factory=StandingCheck)  # sensors that have failed
     ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
     clock_steps: int = 0
     not_numbers: int = 0  # measurements refused because a value is not finite

@@ -14,7 +14,7 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.recognition import Recognition
-from tilth.estimator.pose.standing import Standing
+from tilth.estimator.pose.standing import StandingCheck
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
@@ -129,7 +129,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         consistency=stored.value(Consistency, "consistency"),
         estimators=_estimators_of(machine, stored.raw("estimators")),
         checks=stored.value(ReceiverChecks, "checks"),
-        standing=stored.value(Standing, "standing"),
+        standing=stored.value(StandingCheck, "standing"),
         watch=stored.value(WatchState, "watch"),
         previous_run=stored.value(dict[str, SavedPosterior], "previous_run"),
         previous_run_ns=stored.value(int, "previous_run_ns"),

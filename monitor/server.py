@@ -203,7 +203,7 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
         yield
         turning.cancel()
 
-    asked = Asked()
+    asked = PageQuery()
     folder = resources.files("tilth.monitor") / "page"
     files = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
     live = WebSocketRoute("/live", viewers.serve)
@@ -211,7 +211,7 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
     return Guard(Starlette(routes=routes, lifespan=lifespan))
 
 
-class Asked:
+class PageQuery:
     """Requests that wait for a daemon, each in a thread. Files wait for nothing, and are not among them."""
 
     def __init__(self) -> None:
@@ -232,7 +232,7 @@ class Asked:
         return limited
 
 
-def _orders(daemon_data: DaemonData, asked: Asked) -> list[Route]:
+def _orders(daemon_data: DaemonData, asked: PageQuery) -> list[Route]:
     """What a page sends: marks, and orders to whoever runs beside the daemon."""
     answers = {
         "/mark": _noted(daemon_data.mark),
@@ -245,7 +245,7 @@ def _orders(daemon_data: DaemonData, asked: Asked) -> list[Route]:
     return [Route(path, asked.fairly(answer), methods=["POST"]) for path, answer in answers.items()]
 
 
-def _asked(daemon_data: DaemonData, asked: Asked) -> list[Route]:
+def _asked(daemon_data: DaemonData, asked: PageQuery) -> list[Route]:
     """What a page asks for, beside its own files."""
 
     async def report_file(request: Request) -> Response:

@@ -211,7 +211,11 @@ def _posterior(
 
 
 def _range(machine: Machine, all_of: Linearised, rows: Sequence[int]) -> tuple[Array, Array]:
-    """Smallest and largest of the six that these segments give alone, each (6,)."""
+    """Smallest and largest of the six that these segments give alone, each (6,): infinite where none tells
+    anything."""
+    rows = [k for k in rows if all_of.told[k]]
+    if not rows:
+        return np.full(6, -np.inf), np.full(6, np.inf)
     if all_of.alone:
         alone = [all_of.alone[k][0][SIX] for k in rows]
     else:

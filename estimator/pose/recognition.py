@@ -54,7 +54,7 @@ Place = tuple[str, int]  # bus, source
 
 
 @dataclass(slots=True)
-class Heard:
+class HeardSource:
     """Positions from one address: arrival, ns, and m north and east of the plane's origin."""
 
     bus: str
@@ -80,7 +80,7 @@ class Recognition:
     """State of the search."""
 
     before: list[KnownAddress] = field(default_factory=list)  # from an earlier run, not decided on
-    heard: list[Heard] = field(default_factory=list)
+    heard: list[HeardSource] = field(default_factory=list)
     origin_deg: tuple[float, float] | None = None
     candidates: list[tuple[str, int]] = field(default_factory=list)
     mounts: list[Mount] = field(default_factory=list)  # that are looked for
@@ -117,7 +117,7 @@ def take(state: Recognition, position: Position) -> None:
     origin = position.origin
     heard = next((one for one in state.heard if (one.bus, one.source) == (origin.bus, origin.source)), None)
     if heard is None:
-        heard = Heard(origin.bus, origin.source, origin.mount, position.pgn)
+        heard = HeardSource(origin.bus, origin.source, origin.mount, position.pgn)
         state.heard.append(heard)
     if position.pgn > heard.pgn:  # the same position in a rarer message
         return
@@ -156,7 +156,7 @@ def search(
     return _decide(state, aligner.machine)
 
 
-def _at(heard: Heard, t_ns: int) -> Vector | None:
+def _at(heard: HeardSource, t_ns: int) -> Vector | None:
     """Where it was at t, if positions lie around."""
     after = None
     for sample in reversed(heard.positions):

@@ -24,7 +24,7 @@ Reading = tuple[int, float, float, float]
 """t_ns, a value, a second one or 0, sd of each."""
 
 
-class Limits(NamedTuple):
+class RateLimits(NamedTuple):
     """How fast a quantity can change, per second."""
 
     rate: float
@@ -35,14 +35,14 @@ SDS: Final = 5.0  # of the difference of two readings, that are noise
 STAMP_S: Final = 0.02  # by which a frame may come later than another: it queued on the bus
 LASTING: Final = 4  # readings in a row that are no spikes: bursts are of up to three
 LIMITS: Final = {
-    "wheel_angle": Limits(math.radians(60.0)),  # the fastest steering cylinders
-    "wheel_speed": Limits(8.0),  # m/s^2: brakes, and the antenna's own motion on a mast over bumps
-    "velocity": Limits(8.0),
-    "yaw_rate": Limits(4.0),  # rad/s^2: full lock at 10 m/s in half a second
-    "heading": Limits(1.5, wraps=True),  # rad/s
-    "roll": Limits(1.5),
-    "pitch": Limits(1.5),
-    "position": Limits(20.0),  # m/s, where the receiver reports no velocity
+    "wheel_angle": RateLimits(math.radians(60.0)),  # the fastest steering cylinders
+    "wheel_speed": RateLimits(8.0),  # m/s^2: brakes, and the antenna's own motion on a mast over bumps
+    "velocity": RateLimits(8.0),
+    "yaw_rate": RateLimits(4.0),  # rad/s^2: full lock at 10 m/s in half a second
+    "heading": RateLimits(1.5, wraps=True),  # rad/s
+    "roll": RateLimits(1.5),
+    "pitch": RateLimits(1.5),
+    "position": RateLimits(20.0),  # m/s, where the receiver reports no velocity
 }
 POSITION_SHARE: Final = 0.3  # of the speed, by which a position may go another way than the velocity before
 POSITION_ACCELERATION: Final = 6.0  # m/s^2
@@ -62,7 +62,7 @@ REASONS: Final = {
 
 
 @dataclass(slots=True)
-class Screen:
+class SensorScreen:
     """One quantity of one sensor. Times ns."""
 
     last: Reading | None = None  # used
@@ -87,7 +87,7 @@ class Screen:
 class Screens:
     """All of a rig, and what they have left out."""
 
-    by: dict[str, Screen] = field(default_factory=dict)  # "who quantity" -> screen
+    by: dict[str, SensorScreen] = field(default_factory=dict)  # "who quantity" -> screen
     rejected: dict[str, int] = field(default_factory=dict)  # key of REASONS -> readings
     late: bool = False  # frames come late just now (lateness.py)
 
@@ -112,7 +112,7 @@ class Screens:
     def near(self, who: str, quantity: str, reading: Reading, moving: bool) -> list[Reading]:
         """The readings of who's quantity (a key of LIMITS) that are used now that this one has come, in their
         order. moving: whether the rig moves."""
-        screen = self.by.setdefault(f"{who} {quantity}", Screen())
+        screen = self.by.setdefault(f"{who} {quantity}", SensorScreen())
         _count_run(screen, reading, moving)
         # A pose needs the wheel angle: one that may yet be right is refused by record_builder only.
         if screen.failed or (screen.stands and quantity != "wheel_angle"):
@@ -123,18 +123,20 @@ class Screens:
     def near_path(self, who: str, reading: Reading, velocity: Vector | None) -> list[Reading]:
         """The same of positions, m. velocity: the last known, north, east, m/s. Positions that repeat are
         looked at elsewhere."""
-        screen = self.by.setdefault(f"{who} position", Screen())
+        screen = self.by.setdefault(f"{who} position", SensorScreen())
         if velocity is None:
             return self._decide(screen, reading, LIMITS["position"], (0.0, 0.0))
         elapsed = abs(reading[0] - (screen.last or reading)[0]) * 1e-9
         rate = POSITION_SHARE * math.hypot(*velocity) + POSITION_ACCELERATION * (elapsed + STAMP_S)
-        return self._decide(screen, reading, Limits(rate), velocity)
+        return self._decide(screen, reading, RateLimits(rate), velocity)
 
     def reject(self, reason: str, number: int) -> None:
         """Count readings that are not used."""
         self.rejected[reason] = self.rejected.get(reason, 0) + number
 
-    def _decide(self, screen: Screen, reading: Reading, limits: Limits, velocity: Vector) -> list[Reading]:
+    def _decide(
+        self, screen: SensorScreen, reading: Reading, limits: RateLimits, velocity: Vector
+    ) -> list[Reading]:
         waiting, last = screen.waiting, screen.last
         back = last is None or _are_near(last, reading, limits, velocity)
         if back and last is not None and waiting:  # what has time enough may come back, or go on
@@ -156,7 +158,7 @@ class Screens:
         screen.last = used[-1]
         return used
 
-    def _leave_out(self, screen: Screen) -> None:
+    def _leave_out(self, screen: SensorScreen) -> None:
         if screen.waiting and not self.late:  # else the computer is to blame, and they are counted as late
             self.reject("spike", len(screen.waiting))
             for _ in screen.waiting:
@@ -164,7 +166,7 @@ class Screens:
         screen.waiting.clear()
 
 
-def _apart(one: Reading, other: Reading, limits: Limits, velocity: Vector) -> float:
+def _apart(one: Reading, other: Reading, limits: RateLimits, velocity: Vector) -> float:
     """How far one is from the other, if the values have changed at this velocity."""
     elapsed = (other[0] - one[0]) * 1e-9
     first = other[1] - one[1] - velocity[0] * elapsed
@@ -172,14 +174,14 @@ def _apart(one: Reading, other: Reading, limits: Limits, velocity: Vector) -> fl
     return math.hypot(wrap(first) if limits.wraps else first, second)
 
 
-def _are_near(one: Reading, other: Reading, limits: Limits, velocity: Vector) -> bool:
+def _are_near(one: Reading, other: Reading, limits: RateLimits, velocity: Vector) -> bool:
     """Whether both may be true. velocity: at which the values change, as far as known."""
     seconds = abs(other[0] - one[0]) * 1e-9 + STAMP_S
     room = SDS * math.hypot(one[3], other[3]) + limits.rate * seconds + math.hypot(*velocity) * STAMP_S
     return _apart(one, other, limits, velocity) <= room
 
 
-def _count_run(screen: Screen, reading: Reading, moving: bool) -> None:
+def _count_run(screen: SensorScreen, reading: Reading, moving: bool) -> None:
     """While the rig stands, readings may repeat for as long as they like."""
     raw = reading[1], reading[2]
     if raw != screen.raw or not moving:
@@ -193,7 +195,7 @@ def _count_run(screen: Screen, reading: Reading, moving: bool) -> None:
         screen.run += 1
 
 
-def _note(screen: Screen, spike: bool) -> None:
+def _note(screen: SensorScreen, spike: bool) -> None:
     """Follow the share of spikes."""
     screen.spikes += spike
     screen.share += (spike - screen.share) / MEMORY

@@ -12,7 +12,7 @@ from typing import Final
 
 from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, WHEEL, WHEEL_NAME, Aligner
 from tilth.estimator.pose.geometry import wrap
-from tilth.estimator.pose.screen import Screen
+from tilth.estimator.pose.screen import SensorScreen
 from tilth.schemas.flow import Flag, FlagKind, Pose
 
 STANDS: Final = FlagKind.STANDS_STILL
@@ -33,7 +33,7 @@ _WORDS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
+class MotionAtPose:
     """What the rig did at a pose."""
 
     t_ns: int
@@ -46,14 +46,14 @@ class Moved:
 
 
 @dataclass(slots=True)
-class Standing:
+class StandingCheck:
     """State of the check."""
 
-    poses: list[Moved] = field(default_factory=list)  # in a row, under way
+    poses: list[MotionAtPose] = field(default_factory=list)  # in a row, under way
     reported: list[str] = field(default_factory=list)  # names of the screens that are told to stand still
 
 
-def observe(state: Standing, aligner: Aligner, pose: Pose) -> list[tuple[str, str]]:
+def observe(state: StandingCheck, aligner: Aligner, pose: Pose) -> list[tuple[str, str]]:
     """Take one pose. Returns (kind, text) of what begins to stand still, or is over."""
     _add(state, aligner, pose)
     for name, screen in aligner.screens.by.items():
@@ -69,7 +69,7 @@ def observe(state: Standing, aligner: Aligner, pose: Pose) -> list[tuple[str, st
     ]
 
 
-def flags(state: Standing) -> list[Flag]:
+def flags(state: StandingCheck) -> list[Flag]:
     """A flag for each sensor of which something stands still."""
     return sorted({Flag(STANDS, name.partition(" ")[0]) for name in state.reported})
 
@@ -90,7 +90,7 @@ def _subject(name: str) -> str:
     return f"{who}: its {_WORDS[quantity]}"
 
 
-def _add(state: Standing, aligner: Aligner, pose: Pose) -> None:
+def _add(state: StandingCheck, aligner: Aligner, pose: Pose) -> None:
     u, r = pose.tractor.forward_velocity, pose.tractor.yaw_rate
     if u is None or r is None or abs(u) < UNDER_WAY:
         state.poses.clear()
@@ -102,12 +102,12 @@ def _add(state: Standing, aligner: Aligner, pose: Pose) -> None:
     seconds = POSE_NS * 1e-9 if before else 0.0
     rates = r, r if pose.implement.yaw_rate is None else pose.implement.yaw_rate
     headings = pose.tractor.heading, pose.implement.heading
-    past = before or Moved(pose.t_ns, u, 0.0, 0.0, 0.0, (math.nan, math.nan), (0.0, 0.0))
+    past = before or MotionAtPose(pose.t_ns, u, 0.0, 0.0, 0.0, (math.nan, math.nan), (0.0, 0.0))
     tractor, implement = headings
     turned = past.turned[0] + rates[0] * seconds, past.turned[1] + rates[1] * seconds
     wheelbase = aligner.machine.tractor.a.value + aligner.machine.tractor.b.value
     state.poses.append(
-        Moved(
+        MotionAtPose(
             pose.t_ns, u, past.way + abs(u) * seconds, math.atan(wheelbase * r / u), u * r,
             (_unwrapped(tractor, past.heading[0]), _unwrapped(implement, past.heading[1])), turned,
         )
@@ -121,7 +121,7 @@ def _unwrapped(heading: float | None, before: float) -> float:
     return heading if math.isnan(before) else before + wrap(heading - before)
 
 
-def _contradicts(poses: list[Moved], name: str, screen: Screen) -> bool:
+def _contradicts(poses: list[MotionAtPose], name: str, screen: SensorScreen) -> bool:
     """Whether the rig has moved, since a run of equal readings began, as it could not with them."""
     who, _, quantity = name.partition(" ")
     during = [pose for pose in poses if pose.t_ns >= screen.run_ns]
@@ -145,7 +145,7 @@ def _contradicts(poses: list[Moved], name: str, screen: Screen) -> bool:
     return False
 
 
-def _path_left(during: list[Moved], screen: Screen) -> bool:
+def _path_left(during: list[MotionAtPose], screen: SensorScreen) -> bool:
     """Whether the path has changed by more than it does while the wheels stand still; of a sensor that never
     said the same for so long, also whether the path is not that of its reading."""
     first, share = during[0], 0.5 if screen.stands else 1.0

@@ -21,7 +21,7 @@ class FaultKind(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class LogFault:
     """`from_s`, `until_s`: between which times, s after its first message, messages are missing."""
 
     kind: FaultKind

@@ -12,7 +12,7 @@ from typing import BinaryIO, Final, NamedTuple
 
 from mcap.opcode import Opcode
 
-from tilth.logger.log.mcap_fault import Fault, FaultKind
+from tilth.logger.log.mcap_fault import FaultKind, LogFault
 from tilth.logger.log.mcap_file import (
     DAMAGE,
     HEAD,
@@ -67,10 +67,10 @@ class McapRecords:
     ) -> None:
         """others: opcodes of records that are wanted besides chunks, messages and definitions. every_byte:
         compare the checksum of all data too, which reads the file once more."""
-        self.faults: list[Fault] = []
+        self.faults: list[LogFault] = []
         self.is_tilths = False  # by its header
         self.covered = 0  # bytes that an earlier recovery has kept without being able to read them
-        self.lost: Fault | None = None  # what the last HOLE has cost
+        self.lost: LogFault | None = None  # what the last HOLE has cost
         self._file, self._size, self._every_byte = file, size, every_byte
         self._walk = Walk(file, size, behind=None if every_byte else message_indexes(file, size))
         self._summary = _Summary()
@@ -136,13 +136,13 @@ class McapRecords:
                 else:
                     yield place, data
             elif place.opcode == Opcode.ATTACHMENT and self._is_changed(place):
-                self.faults.append(Fault(FaultKind.HOLE, place.start, place.end))
+                self.faults.append(LogFault(FaultKind.HOLE, place.start, place.end))
             else:
                 yield place, HEAD.pack(place.opcode, place.end - place.body) + body_of(self._file, place)
         if not self._chunked:
             self._end()
         if self._every_byte and not self.faults and not self._is_as_written():
-            self.faults.append(Fault(FaultKind.CHANGED, 0, self._size))
+            self.faults.append(LogFault(FaultKind.CHANGED, 0, self._size))
         self.faults.sort(key=lambda fault: fault.start)
 
     def _is_changed(self, attachment: RecordPlace) -> bool:
@@ -173,7 +173,7 @@ class McapRecords:
             opcode = place.opcode
             if opcode == Opcode.CHUNK:
                 if place.mended:
-                    self.faults.append(Fault(FaultKind.HEAD, place.start, place.body))
+                    self.faults.append(LogFault(FaultKind.HEAD, place.start, place.body))
                 self._data_end = None
             elif opcode == Opcode.MESSAGE_INDEX:
                 continue
@@ -221,10 +221,10 @@ class McapRecords:
 
     def _end(self) -> None:
         """The walk has come to the end of the file."""
-        self.faults += [Fault(FaultKind.APPENDED, at, at) for at in self._walk.appended]
+        self.faults += [LogFault(FaultKind.APPENDED, at, at) for at in self._walk.appended]
         if self._summary.footers and not self._summary.believed:
             at = self._size if self._data_end is None else self._data_end.end
-            self.faults.append(Fault(FaultKind.INDEX, at, at))
+            self.faults.append(LogFault(FaultKind.INDEX, at, at))
 
     # Order
 
@@ -245,7 +245,7 @@ class McapRecords:
             return
         in_order = [chunks[k] for k in sorted(range(len(chunks)), key=order.__getitem__)]
         self.faults += [
-            Fault(FaultKind.MOVED, now.start, now.end)
+            LogFault(FaultKind.MOVED, now.start, now.end)
             for now, one in zip(chunks, in_order, strict=True)
             if now is not one
         ]
@@ -274,7 +274,7 @@ class McapRecords:
             if place.opcode != Opcode.CHUNK or first is place or not self._same(first, place):
                 places.append(place)
             else:
-                self.faults.append(Fault(FaultKind.DOUBLED, place.start, place.end))
+                self.faults.append(LogFault(FaultKind.DOUBLED, place.start, place.end))
         self._places = places
 
     def _same(self, one: RecordPlace, other: RecordPlace) -> bool:
@@ -303,27 +303,27 @@ class McapRecords:
         there = {entries[rank].key for rank in ranks.values()}  # a file that is appended to itself has two
         missing = [rank for rank, entry in enumerate(entries) if entry.key not in there]
         if not ranks and any(place.opcode == Opcode.CHUNK for place in self._places):
-            self.faults.append(Fault(FaultKind.INDEX, self.tail, self.tail))  # of another file
+            self.faults.append(LogFault(FaultKind.INDEX, self.tail, self.tail))  # of another file
             return
         if not missing:
             if not self.faults and any(entries[rank].start != start for start, rank in ranks.items()):
-                self.faults.append(Fault(FaultKind.INDEX, self.tail, self.tail))
+                self.faults.append(LogFault(FaultKind.INDEX, self.tail, self.tail))
             self._places = [_free(place) if place.opcode == HOLE else place for place in self._places]
             return
         self._places = _with_holes(self._places, ranks, missing)
 
-    def _hole(self, place: RecordPlace, number: int) -> Fault:
+    def _hole(self, place: RecordPlace, number: int) -> LogFault:
         if place.mended:  # no message is missing there
-            return Fault(FaultKind.HOLE, place.start, place.end)
+            return LogFault(FaultKind.HOLE, place.start, place.end)
         return self._around(FaultKind.HOLE, place, number)
 
-    def _around(self, kind: FaultKind, place: RecordPlace, number: int) -> Fault:
+    def _around(self, kind: FaultKind, place: RecordPlace, number: int) -> LogFault:
         """A fault that costs messages, and what was before and behind it."""
         before = next((p for p in reversed(self._places[:number]) if p.opcode == Opcode.CHUNK), None)
         behind = next((p for p in self._places[number + 1 :] if p.opcode == Opcode.CHUNK), None)
         first = next((p for p in self._places if p.opcode == Opcode.CHUNK), None)
         first_ns = first.times[0] if first else 0
-        return Fault(
+        return LogFault(
             kind, place.start, place.end, True,
             None if before is None else (before.times[1] - first_ns) * _NS,
             None if behind is None else (behind.times[0] - first_ns) * _NS,

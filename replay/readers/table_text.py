@@ -55,7 +55,7 @@ _HEX: Final = re.compile("[0-9A-Fa-f]+")
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class ColumnLayout:
     """Where a header puts what; `data` are the columns of the data, if several one for each byte."""
 
     separator: str | None  # None: blanks
@@ -72,14 +72,14 @@ class Layout:
         return max(*self.places.values(), self.data[-1])
 
 
-KVASER: Final = Layout(None, {"time": 0, "bus": 1, "id": 2, "flags": 3, "dlc": 4}, (5,), SECOND)
+KVASER: Final = ColumnLayout(None, {"time": 0, "bus": 1, "id": 2, "flags": 3, "dlc": 4}, (5,), SECOND)
 KVASER_ROW: Final = re.compile(
     r"\s*-?\d+\.\d+ +\d+ +(?:ErrorFrame\b|[0-9A-Fa-f]+(?: *x)? +(?:[RT]x(?:Rq)? +)?(?:[EFBPRW#]+ +)*"
     r"\d+ +(?:RTR|(?:[0-9A-Fa-f]{2,3} +){0,64}) *\d+\s*$)"
 )
 
 
-def layout_of(line: str) -> Layout | None:
+def layout_of(line: str) -> ColumnLayout | None:
     """The layout that a header gives; None of what is no header of a table of frames."""
     bare = line.strip().lstrip("\ufeff")
     separator = next((mark for mark in _SEPARATORS if mark in bare), None)
@@ -102,15 +102,17 @@ def layout_of(line: str) -> Layout | None:
     unit = unit_ns(names[places["time"]]) if "time" in places else 0
     gvret = "time" in places and plain(names[places["time"]]) == "timestamp" and len(data) > 1
     last = data[-1] == len(names) - 1 and len(data) == 1
-    return Layout(separator, places, tuple(data), unit, 1_000 if gvret else 0, bare.lower() == _BASE_64, last)
+    return ColumnLayout(
+        separator, places, tuple(data), unit, 1_000 if gvret else 0, bare.lower() == _BASE_64, last
+    )
 
 
 @dataclass(slots=True)
-class Table:
+class TextTable:
     """Reads lines of a table, one after the other."""
 
     log: OpenLog
-    layout: Layout | None = None
+    layout: ColumnLayout | None = None
     clock: TextClock = field(default_factory=TextClock)
     id_base: int = 0  # 0: not known yet
     data_base: int = 0
@@ -254,7 +256,7 @@ class Table:
             self.origin_ns, self.untold_ns = self.untold_ns - value_ns, None
         return self.origin_ns + value_ns
 
-    def _counted_ns(self, match: re.Match[str], layout: Layout) -> int:
+    def _counted_ns(self, match: re.Match[str], layout: ColumnLayout) -> int:
         whole, part = int(match["whole"]), match["part"]
         unit = layout.unit_ns
         if not unit and part is not None:
@@ -315,7 +317,7 @@ def _unit_by_size(whole: int) -> int:
     return SECOND
 
 
-def _cells(line: str, layout: Layout) -> list[str]:
+def _cells(line: str, layout: ColumnLayout) -> list[str]:
     if layout.separator is None:
         return line.split()
     return [cell.strip().strip('"').strip() for cell in line.rstrip("\r\n").split(layout.separator)]
@@ -333,12 +335,12 @@ def _number(text: str, base: int) -> int:
     return int(text, 16) if text.startswith("0x") else int(text, base)
 
 
-def _split(line: str, layout: Layout) -> dict[Role, str]:
+def _split(line: str, layout: ColumnLayout) -> dict[Role, str]:
     """What a row holds. Raises LookupError for one that is too short."""
     return _by_blanks(line, layout) if layout.separator is None else _by_marks(line, layout)
 
 
-def _by_marks(line: str, layout: Layout) -> dict[Role, str]:
+def _by_marks(line: str, layout: ColumnLayout) -> dict[Role, str]:
     cells = _cells(line, layout)
     row: dict[Role, str] = {role: cells[at] for role, at in layout.places.items() if at < len(cells)}
     first = layout.data[0]
@@ -351,7 +353,7 @@ def _by_marks(line: str, layout: Layout) -> dict[Role, str]:
     return row
 
 
-def _by_blanks(line: str, layout: Layout) -> dict[Role, str]:
+def _by_blanks(line: str, layout: ColumnLayout) -> dict[Role, str]:
     """Flags may be none or many; they end where the length comes. What is behind the data is left alone."""
     cells = line.split()
     if "time" in layout.places and _ISO.match(f"{cells[0]} {cells[1]}"):

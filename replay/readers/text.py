@@ -15,7 +15,7 @@ from tilth.replay.readers import gateway_text as gateway
 from tilth.replay.readers.log import NO_ZONE, UNREADABLE, OpenLog, stamp_fault
 from tilth.replay.readers.peak_text import Trc
 from tilth.replay.readers.stream import without_zeros
-from tilth.replay.readers.table_text import KVASER, Table
+from tilth.replay.readers.table_text import KVASER, TextTable
 from tilth.replay.readers.text_clock import TextClock
 from tilth.replay.readers.vector_text import Asc
 from tilth.schemas.flow import Frame
@@ -72,15 +72,15 @@ def trc(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
 
 def table(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     """A table whose header names its columns."""
-    return _table(log, stream, Table(log))
+    return _table(log, stream, TextTable(log))
 
 
 def kvaser(log: OpenLog, stream: BinaryIO) -> Iterator[Frame]:
     """The text of a Kvaser Memorator, with its head or without."""
-    return _table(log, stream, Table(log, KVASER))
+    return _table(log, stream, TextTable(log, KVASER))
 
 
-def _table(log: OpenLog, stream: BinaryIO, reader: Table) -> Iterator[Frame]:
+def _table(log: OpenLog, stream: BinaryIO, reader: TextTable) -> Iterator[Frame]:
     with text(log, stream) as opened:
         first = list(islice(opened, PEEKED))
         reader.peek(first)

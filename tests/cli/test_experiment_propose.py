@@ -89,7 +89,7 @@ def cut_gzip(folder: Path, step: Path) -> list[Path]:
 REFUSED: dict[str, tuple[Callable[[Path, Path], list[Path]], int, str]] = {
     "of another rig": (lambda at, step: write_run(at, 5.0, name="fendt"), 2, "is of fendt, "),
     "one of two of another rig": (
-        lambda at, step: [*write_run(at, 5.0), *write_run(at, 5.0, name="fendt")], 2, "is of fendt, ",
+        lambda at, step: [*write_run(at, 5.0), *write_run(at, 6.0, name="fendt")], 2, "is of fendt, ",
     ),
     "no steering": (lambda at, step: write_run(at, 30.0), 1, "no driving with steering was found"),
     "no poses": (lambda at, step: write_run(at, 5.0, results=False), 1, "there are no poses in these logs"),
@@ -120,7 +120,7 @@ def test_a_log_without_steering_is_named_beside_one_that_tells(
     step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     straight = Scenario(other_traffic=False, speed=4.5, steering=((60.0, 0.0),))
-    log = write_candump(tmp_path / "straight.log", simulate(MACHINE, 3, SECONDS, straight))
+    log = write_candump(tmp_path / "straight.log", simulate(MACHINE, 4, SECONDS, straight))
     assert proposed(tmp_path / "plan.toml", [step, log]) == 0
     said = capsys.readouterr().err
     assert "straight.log: no driving with steering is in it" in said

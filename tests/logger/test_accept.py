@@ -118,7 +118,7 @@ def test_it_outlives_a_fault_and_a_new_log_file() -> None:
     assert slipped == pytest.approx(MACHINE.wheel_angle.zero.value + 1.0027, abs=1e-4)
     again = GuardedFold(MACHINE, fold.renew())
     assert again.state.machine == fold.state.machine and again.accepted == [SLIPPED]
-    fold.state.aligner = None  # type: ignore[assignment]
+    fold.state.record = None  # type: ignore[assignment]
     for frame in list(simulate(MACHINE, 1, 4.0)):
         fold.take(frame)
     assert fold.faults >= 1 and fold.state.machine.wheel_angle.zero.value == slipped

@@ -8,17 +8,14 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
-from itertools import permutations
 from pathlib import Path
 
 import can
 import pytest
 from logs import MACHINE
 from loopback import PATIENCE_S, Sender, free_port, machine_text, records_of, rig, udp_bus, until
+from restarted import SECOND, Followed, exchanged, from_s, right
 
-from tilth.estimator import fold
-from tilth.estimator.snapshot import restore, snapshot
 from tilth.logger import address_memory
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
@@ -26,145 +23,13 @@ from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
-from tilth.schemas.can_id import split
 from tilth.schemas.channels import ADDRESSES_TOPIC
-from tilth.schemas.flow import Event, Frame, Mount, Pose
+from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
-from tilth.simulator.traffic import simulate
 
-SECOND = 1_000_000_000
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-addresses"\n\n'
-NAMES = {receiver.mount: receiver.name for receiver in MACHINE.receiver}
-
-
-@cache
-def drive() -> tuple[Frame, ...]:
-    """Forty seconds, address claims at the beginning."""
-    return tuple(simulate(MACHINE, 5, 40.0))
-
-
-@cache
-def right() -> dict[Mount, int]:
-    """Where the receivers stand in it."""
-    state = fold.initial(MACHINE)
-    for frame in drive()[:2000]:
-        state.decoder.measurements(frame)
-    return {known.mount: known.source for known in state.decoder.addresses.known() if known.mount is not None}
-
-
-def from_s(seconds: float, until_s: float = 99.0) -> list[Frame]:
-    """That part of the drive."""
-    t_ns = drive()[0].t_ns
-    return [f for f in drive() if seconds <= (f.t_ns - t_ns) * 1e-9 < until_s]
-
-
-def exchanged(sources: Sequence[int], last_ns: int = 0) -> list[KnownAddress]:
-    """That the receivers, in the order of Mount, have these addresses."""
-    return [
-        KnownAddress("can0", source, NAMES[mount], mount, last_ns)
-        for mount, source in zip(Mount, sources, strict=True)
-    ]
-
-
-class Told:
-    """What a fold makes of frames."""
-
-    def __init__(
-        self, frames: Sequence[Frame], known: Sequence[KnownAddress] = (), ready: bool = False
-    ) -> None:
-        self.state = fold.initial(MACHINE)
-        self.state.ready = ready
-        fold.recall(self.state, known)
-        self.events: list[str] = []
-        self.whole = 0  # poses of both bodies
-        self.wrong = 0  # of them with a receiver in another's place
-        self.first_s: float | None = None
-        self.frames = frames
-        for frame in frames:
-            self.take(frame)
-
-    def take(self, frame: Frame) -> None:
-        for publication in fold.step(self.state, frame):
-            value = publication.value
-            if isinstance(value, Event):
-                self.events.append(f"{value.kind}: {value.text}")
-            if isinstance(value, Pose) and None not in (value.tractor.heading, value.implement.heading):
-                known = self.state.decoder.addresses.known()
-                here = {one.mount: one.source for one in known if one.mount is not None}
-                self.whole += 1
-                self.wrong += here != right()
-                if self.first_s is None:
-                    self.first_s = (frame.t_ns - self.frames[0].t_ns) * 1e-9
-
-    def said(self, text: str) -> bool:
-        return any(event.startswith("addresses: ") and text in event for event in self.events)
-
-
-@pytest.mark.parametrize("seconds", [3.0, 17.3, 30.0])
-def test_without_any_knowledge_receivers_are_recognised_by_where_they_are(seconds: float) -> None:
-    told = Told(from_s(seconds, seconds + 8.0))
-    assert told.wrong == 0 and told.whole > 15
-    assert told.first_s is not None and told.first_s < 4.5  # five metres, and the lag of positions
-    assert told.said("recognised by where they are")
-
-
-def test_what_was_known_is_used_at_once_within_one_power_session() -> None:
-    frames = from_s(20.0, 22.0)
-    told = Told(frames, exchanged([right()[m] for m in Mount], frames[0].t_ns - 20 * SECOND))
-    assert told.wrong == 0 and told.first_s is not None and told.first_s < 1.2
-    assert told.said("was silent for 20 s: receivers have the addresses that they had")
-
-
-@pytest.mark.parametrize("order", list(permutations(range(4))), ids=str)
-def test_exchanged_addresses_give_no_wrong_pose(order: tuple[int, ...]) -> None:
-    """Four alike receivers settle their addresses anew at each power-up."""
-    now = [right()[mount] for mount in Mount]
-    before = [now[i] for i in order]
-    frames = from_s(20.0, 27.0)
-    told = Told(frames, exchanged(before))
-    assert told.wrong == 0 and told.whole > 10
-    assert told.said("other addresses than before" if before != now else "the addresses that they had before")
-    # The same where it was taken for one power session.
-    quick = Told(from_s(20.0, 30.0), exchanged(before, frames[0].t_ns - 20 * SECOND))
-    assert quick.wrong == 0 and quick.whole > 10
-    assert quick.said("may not have the addresses") == (before != now)
-
-
-def test_a_claim_always_wins() -> None:
-    frames = list(drive()[: next(i for i, f in enumerate(drive()) if f.t_ns - drive()[0].t_ns > 4 * SECOND)])
-    now = [right()[mount] for mount in Mount]
-    told = Told(frames, exchanged(now[::-1], frames[0].t_ns - 20 * SECOND))
-    assert told.wrong == 0 and told.whole > 10 and not told.said("by where they are")
-
-
-def test_a_search_goes_on_from_a_stored_state() -> None:
-    frames = from_s(20.0, 25.0)
-    told, again = Told([]), Told([])
-    for i, frame in enumerate(frames):
-        if i % 500 == 0:
-            again.state = restore(MACHINE, snapshot(again.state))
-        told.frames = again.frames = frames
-        told.take(frame)
-        again.take(frame)
-    assert told.whole > 5 and (told.whole, told.events) == (again.whole, again.events)
-
-
-@pytest.mark.parametrize("wheel", [True, False])
-def test_a_rig_in_reverse_is_not_taken_for_one_that_goes_forwards(wheel: bool) -> None:
-    """The drive backwards in time: all that moves goes backwards. Without wheel angles it stays open."""
-    frames = from_s(10.0, 35.0)
-    end_ns = frames[0].t_ns + frames[-1].t_ns
-    turned = []
-    for frame in reversed(frames):
-        pgn = split(frame.can_id).pgn
-        if pgn in (65267, 129025) or (wheel and pgn == 65291):
-            t_ns = end_ns - frame.t_ns
-            turned.append(Frame(t_ns, t_ns, "can0", frame.can_id, True, False, frame.data))
-    told = Told(turned)
-    here = {k.mount: k.source for k in told.state.decoder.addresses.known() if k.mount is not None}
-    assert here == (right() if wheel else here) and (not here or here == right())
 
 
 # ---- kept, and in the log ----
@@ -284,12 +149,12 @@ def test_killed_and_restarted_at_any_instant(seconds: float) -> None:
     for frame in from_s(0.0, seconds):
         first.take(frame)
     known = first.known_addresses
-    told = Told(from_s(seconds + 1.0, seconds + 5.0), known)
+    told = Followed(from_s(seconds + 1.0, seconds + 5.0), known)
     assert told.wrong == 0 and told.whole > 10 and "unidentified" not in told.state.rejected
     for before in (
         [replace(one, last_ns=0) for one in known],
         exchanged([right()[m] for m in Mount][::-1]),
         [],
     ):
-        later = Told(from_s(seconds + 1.0, seconds + 9.0), before)
+        later = Followed(from_s(seconds + 1.0, seconds + 9.0), before)
         assert later.wrong == 0 and later.whole > 10
