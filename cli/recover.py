@@ -49,13 +49,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _written(done: Finished, out: Path) -> str:
-    return f"{out}: what can be read of {done.path}: {done.messages} messages{_span(done)}"
+    return f"{out}: what can be read of {done.path}: {done.messages} messages{_span(done)}{_damaged(done)}"
 
 
 def _words(done: Finished) -> str:
     what = "was whole" if done.was_whole else "finished now"
-    damaged = f"; {done.unreadable_bytes} bytes of it cannot be read" if done.unreadable_bytes else ""
-    return f"{done.path}: {what}: {done.messages} messages{_span(done)}{damaged}"
+    return f"{done.path}: {what}: {done.messages} messages{_span(done)}{_damaged(done)}"
+
+
+def _damaged(done: Finished) -> str:
+    return f"; {done.unreadable_bytes} bytes of it cannot be read" if done.unreadable_bytes else ""
 
 
 def _span(done: Finished) -> str:

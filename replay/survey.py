@@ -1,5 +1,6 @@
 """Reads and checks all files of a run."""
 
+import errno
 import io
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator, Mapping
@@ -99,6 +100,8 @@ def survey(paths: Iterable[Path]) -> list[RunSurvey]:
     for path in paths:
         metadata, clocks = dict[str, Mapping[str, str]](), list[Mapping[str, str]]()
         one, reading = None, _Reading()
+        if path.exists() and not path.is_file() and not path.is_dir():  # a pipe would be waited for
+            raise OSError(errno.EINVAL, "a pipe or a device", str(path))
         with path.open("rb") as file:
             being_written = is_being_written(file)
             records = _FileReading(file, path.stat().st_size, being_written)

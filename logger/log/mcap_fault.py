@@ -12,6 +12,7 @@ class FaultKind(StrEnum):
 
     HOLE = "hole"  # nothing can be read there
     CHUNK = "chunk"  # its checksum is wrong
+    LEFT_OUT = "left_out"  # a recovery could not read what stood there
     HEAD = "head"  # of a chunk whose messages can be read
     DOUBLED = "doubled"
     MOVED = "moved"  # stands where it was not written
@@ -47,6 +48,8 @@ class LogFault:
                 return f"its index is damaged or not its own, {at}; it is read without"
             case FaultKind.CHANGED:
                 return "its checksum is wrong: metadata or indexes of messages were changed"
+            case FaultKind.LEFT_OUT:
+                return f"a part {at} could not be read when it was recovered{self._span()}; all else is read"
         if not self.costs:
             return f"damaged {at}: {self.end - self.start:,} bytes cannot be read; no message was in them"
         size = (

@@ -75,7 +75,8 @@ class McapRecords:
         self._walk = Walk(file, size, behind=None if every_byte else message_indexes(file, size))
         self._summary = _Summary()
         self._data_end: RecordPlace | None = None
-        self._wanted = {Opcode.CHUNK, Opcode.MESSAGE, *_DEFINITIONS, HOLE, *others}
+        self._wanted = {Opcode.CHUNK, Opcode.MESSAGE, *_DEFINITIONS, HOLE, UNREADABLE, *others}
+        self._kept_too = UNREADABLE in others
         self._behind: Iterator[RecordPlace] = iter(())
         self._may_run_back = self._has_header = False
         self._places = self._looked_through()
@@ -89,6 +90,11 @@ class McapRecords:
     def cut(self) -> bool:
         """Whether its end is missing."""
         return not self._walk.ended
+
+    @property
+    def damaged(self) -> bool:
+        """Whether anything is wrong but what an earlier recovery has left out."""
+        return any(fault.kind != FaultKind.LEFT_OUT for fault in self.faults)
 
     @property
     def closed(self) -> bool:
@@ -126,6 +132,8 @@ class McapRecords:
                 if fault.costs:
                     self.lost = fault
                     yield place, b""
+            elif place.opcode == UNREADABLE:
+                yield from self._kept_unread(place, number)
             elif place.opcode == Opcode.CHUNK:
                 try:
                     data = unpacked(body_of(self._file, place))
@@ -141,9 +149,19 @@ class McapRecords:
                 yield place, HEAD.pack(place.opcode, place.end - place.body) + body_of(self._file, place)
         if not self._chunked:
             self._end()
-        if self._every_byte and not self.faults and not self._is_as_written():
+        if self._every_byte and not self.damaged and not self._is_as_written():
             self.faults.append(LogFault(FaultKind.CHANGED, 0, self._size))
         self.faults.sort(key=lambda fault: fault.start)
+
+    def _kept_unread(self, place: RecordPlace, number: int) -> Iterator[tuple[RecordPlace, bytes]]:
+        """What an earlier recovery could not read: a HOLE, if it was not the end of the file."""
+        fault = self._around(FaultKind.LEFT_OUT, place, number)
+        if fault.until_s is not None:
+            self.faults.append(fault)
+            self.lost = fault
+            yield RecordPlace(HOLE, place.end, place.end), b""
+        elif self._kept_too:
+            yield place, HEAD.pack(place.opcode, place.end - place.body) + body_of(self._file, place)
 
     def _is_changed(self, attachment: RecordPlace) -> bool:
         crc = body_of(self._file, attachment)[-4:]
@@ -188,7 +206,7 @@ class McapRecords:
                 self._may_run_back |= body.startswith(_REPLAY)
                 self.is_tilths |= not self._has_header and body.startswith(TILTH)
             elif opcode == UNREADABLE:
-                self.covered += place.end - place.start
+                self.covered += place.end - place.body
             elif opcode == Opcode.DATA_END:
                 self._data_end = place
             elif opcode == Opcode.FOOTER:

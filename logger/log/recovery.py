@@ -3,7 +3,8 @@
 Only what Tilth wrote and what was cut: a file that is whole, or damaged in its middle, is never written to. A
 copy gets the index; it takes the place of the original once it has been read back, and until then the
 original stays as it was, whatever happens. The bytes of the record that was cut stay in the file, under a
-record of a private kind (opcode 128) that every reader of MCAP passes over.
+record of a private kind (opcode 128) that every reader of MCAP passes over. Where `rescue` left out what
+could not be read, an empty one stands, by which our readers know of the gap.
 """
 
 import contextlib
@@ -79,9 +80,9 @@ def finish(path: Path) -> Finished:
         if written < len(MAGIC) and _head(file, written) == MAGIC[:written]:
             return _begun(path)
         records, found = _read(path, file, size)
-        if not records.cut and not records.faults:
+        if not records.cut and not records.damaged:
             return found
-        if records.faults or (records.closed and written > records.tail):
+        if records.damaged or (records.closed and written > records.tail):
             raise Damaged(f"{path}: {_what(records)}")
         kept = 0 if records.ends_in_index else max(0, written - records.tail)
         return _replaced(path, file, size, kept)
@@ -106,7 +107,9 @@ def rescue(path: Path, to: Path) -> Finished:
 
 @contextlib.contextmanager
 def _held(path: Path) -> Iterator[BinaryIO]:
-    """The file, which nobody else takes meanwhile. Raises NoLog where it is being written."""
+    """The file, which nobody else takes meanwhile. Raises NoLog where it is being written, or none."""
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise NoLog(f"{path}: a folder, a pipe or a device; give a file")
     with path.open("rb") as file:
         try:
             written = not lock(file.fileno()) and grows(file)
@@ -198,11 +201,14 @@ def _transferred(
 ) -> tuple[McapRecords, Finished]:
     """Write what can be read of a file, and an index. kept: bytes at its end that are kept unread."""
     records = McapRecords(file, size, _COPIED, every_byte=True)
-    copy, utc_minus_ns = IndexedCopy(out, records.definitions), 0
+    copy, utc_minus_ns, unread = IndexedCopy(out, records.definitions), 0, kept
     for place, data in records:
         if place.opcode == Opcode.CHUNK:
             copy.chunk(body_of(file, place), data)
-        elif place.opcode != HOLE:
+        elif place.opcode == HOLE:
+            copy.record(UNREADABLE, b"")  # tells readers of the copy that something is missing here
+            unread += place.end - place.start
+        else:
             body = data[HEAD.size :]
             copy.record(place.opcode, body)
             if place.opcode == Opcode.METADATA:
@@ -211,9 +217,10 @@ def _transferred(
         file.seek(records.tail)
         copy.record(UNREADABLE, file.read(kept))
     copy.finish()
-    whole = not records.cut and not records.faults
+    whole = not records.cut and not records.damaged
+    unread += records.covered
     return records, Finished(
-        path, whole, copy.counts.total(), copy.first_ns, copy.last_ns, utc_minus_ns, records.covered + kept
+        path, whole, copy.counts.total(), copy.first_ns, copy.last_ns, utc_minus_ns, unread
     )
 
 
@@ -264,7 +271,7 @@ def _copied(path: Path, file: BinaryIO, size: int, to: Path, kept: int) -> Finis
         again = McapRecords(copy, to.stat().st_size, every_byte=True)
         for _ in again:
             pass
-        if again.cut or again.faults:
+        if again.cut or again.damaged:
             raise NoLog(f"{path}: its copy is not what was written; it is left as it is, use another disk")
     return replace(found, was_whole=False)
 

@@ -108,7 +108,7 @@ def boot(
         "qemu-system-x86_64",
         *shlex.split(MACHINE),
         *("-serial", f"file:{console}", "-kernel", str(kernel), "-initrd", str(initial)),
-        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off"),
+        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check"),
         *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),
         *("-virtfs", f"local,path={out},mount_tag=out,security_model=none"),
         *(word for path in drives for word in ("-drive", f"file={path},format=raw,if=virtio")),

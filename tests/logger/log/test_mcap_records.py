@@ -1,5 +1,7 @@
 """Damage anywhere in a log costs what it lies in: a hundred places for each kind, through the reader."""
 
+import os
+import re
 import struct
 from collections.abc import Callable
 from itertools import pairwise
@@ -197,6 +199,35 @@ def test_each_command_says_it_once(
     assert told == (0 if words[0] == "logs" or "new.mcap" in words[-1] else 1), err
     if "--verify" in words:
         assert "Not verifiable: " in " ".join(out.split()) and "Differs" not in out
+
+
+def test_what_was_left_out_of_a_copy_is_missing_in_it(
+    drive: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, again = tmp_path / "rescued.mcap", tmp_path / "again.mcap"
+    assert main(["recover", str(drive[0]), "--out", str(copy)]) == 0
+    assert re.search(r"; \d+ bytes of it cannot be read", capsys.readouterr().out)
+    assert main(["recover", str(copy), "--out", str(again)]) == 0
+    assert again.read_bytes() == copy.read_bytes()
+    assert main(["verify", str(copy)]) == 1
+    out = capsys.readouterr().out
+    assert out.count("could not be read when it was recovered") == 1 and "NOT ALL IS THERE" in out
+    assert main(["replay", "--verify", str(copy), str(drive[1])]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert "Not verifiable: " in out and "Differs" not in out
+    assert main(["recover", str(copy)]) == 0 and "was whole" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["verify"], ["recover"], ["decode"], ["replay"], ["fit"]])
+def test_a_pipe_in_the_place_of_a_log_is_not_waited_for(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / "pipe.mcap")
+    try:
+        status: object = main([*words, str(tmp_path / "pipe.mcap")])
+    except SystemExit as ended:
+        status = ended.code
+    assert status in (1, 2) and "a pipe or a device" in capsys.readouterr().err
 
 
 def test_analysis_says_it_once(drive: list[Path], tmp_path: Path) -> None:
