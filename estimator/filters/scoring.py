@@ -25,6 +25,7 @@ from tilth.estimator.filters.likelihood import (
     with_gains,
     with_noise_levels,
 )
+from tilth.estimator.filters.measurement_model import outliers
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
@@ -47,7 +48,6 @@ STEPS_APART: Final = 8  # at most, of `_apart`; the later ones are halved: no co
 FURTHEST: Final = 3.0
 """Sds of any of the six by which `_apart` may leave the likelihood's maximum. A relaxation length that has
 become short enough has no effect any more: sigma_i came out at a tenth in one of 16 fields."""
-OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 EMPTY_PROMISE: Final = 2.0
@@ -127,7 +127,7 @@ def leave_out_outliers(search: Search, point: Array) -> None:
 
 
 def _leave_out(search: Search, e: Array, S: Array) -> None:
-    search.used = np.where(np.abs(e) > OUTLIER * np.sqrt(S), 0.0, search.used)
+    search.used = np.where(outliers(search.record.rows, e, S), 0.0, search.used)
 
 
 def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
