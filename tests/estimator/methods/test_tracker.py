@@ -158,11 +158,11 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         value = run(x, Observation(kind, place, 0.0, 4.5, 0.3, 0.0), where, active, SETUP, h)
         return value, h
 
-    value, h = at(x, point)
-    steps = 1e-6 * np.eye(N_STATES)
-    found = [(at(x + step, point)[0] - value) / 1e-6 for step in steps]
-    found += [(at(x, point + 1e-6 * np.eye(len(point))[k])[0] - value) / 1e-6 for k in ACTIVE]
-    np.testing.assert_allclose(h, found, atol=2e-3)
+    h = at(x, point)[1]
+    states, constants = 1e-4 * np.eye(N_STATES), 1e-4 * np.eye(len(point))[ACTIVE]
+    found = [at(x + step, point)[0] - at(x - step, point)[0] for step in states]
+    found += [at(x, point + step)[0] - at(x, point - step)[0] for step in constants]
+    np.testing.assert_allclose(h, np.array(found) / 2e-4, atol=1e-7)
 
 
 # On frames of the virtual tractor
