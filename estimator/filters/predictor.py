@@ -33,20 +33,19 @@ from tilth.estimator.filters.joint_update import (
     unknowns_between,
     update,
 )
-from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
+from tilth.estimator.filters.measurement_model import observation, predict_measurement
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
     Plant,
-    drive_at,
     empty_plant,
     linearise,
     propagate,
     set_geometry_slopes,
     set_plant,
-    set_wheel_noise,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
 from tilth.estimator.filters.states import N_STATES, Places, Point
 from tilth.estimator.filters.transition import (
     D_POSITION,
@@ -210,7 +209,7 @@ def take_row(
     obs = observation(measured.ticks, measured.rows[row], k, u, x, following, point.unknowns)
     for i in range(N_STATES):
         x_at[i] = x[i] + obs.share * (following[i] - x[i])
-    error = measured.readings[row] - predict_joint_measurement(x_at, obs, point, on.active, setup, on.h)
+    error = measured.readings[row] - predict_measurement(x_at, obs, point, on.active, setup, on.h)
     between(obs.share, on.h, on.step, on.H)
     unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
     row_slopes(on.H, on.H_unknowns, row, on.varied, carried)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, wheel_slope
 from tilth.estimator.filters.states import (
     DT,
     N_STATES,
@@ -57,7 +58,6 @@ from tilth.estimator.filters.unknowns import (
     AT_MEMORY,
     AT_PUSH,
     AT_UNEVEN,
-    AT_WHEEL_GAIN,
     AT_WHEEL_ZERO,
     UNKNOWNS,
     ActsAs,
@@ -74,7 +74,6 @@ from tilth.estimator.models.rolling import (
     rates,
 )
 from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
-from tilth.estimator.record.record import WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
 
@@ -123,16 +122,6 @@ class Active(NamedTuple):
     geometry: Array  # (a, 9), derivative of the geometry by each
 
 
-class DriveInputs(NamedTuple):
-    """Inputs of the rig in the middle of a tick."""
-
-    u: float  # m/s
-    u_rate: float  # m/s^2
-    wheel: float  # true wheel angle, rad
-    wheel_rate: float  # its rate, rad/s
-    wheel_scale: float  # true wheel angle over reading
-
-
 class GroundNoise(NamedTuple):
     """Sds of what the ground does."""
 
@@ -142,33 +131,6 @@ class GroundNoise(NamedTuple):
 
 
 # The inputs and the rates.
-
-
-@inner_kernel
-def wheel_angle_at(ticks: Array, k: int, behind: float) -> float:
-    """The wheel's reading `behind` seconds before tick k (linear between ticks, held at the ends)."""
-    n = ticks.shape[0]
-    at = k - behind / DT
-    if at <= 0.0:
-        return float(ticks[0, WHEEL_ANGLE])
-    if at >= n - 1:
-        return float(ticks[n - 1, WHEEL_ANGLE])
-    low = int(at)
-    share = at - low
-    return float(ticks[low, WHEEL_ANGLE] * (1.0 - share) + ticks[low + 1, WHEEL_ANGLE] * share)
-
-
-@inner_kernel
-def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
-    """Inputs of the rig in the middle of tick k. unknowns: (n,)."""
-    k = min(k, ticks.shape[0] - 1)
-    nxt = min(k + 1, ticks.shape[0] - 1)
-    scale = math.exp(-unknowns[AT_WHEEL_GAIN])
-    behind = unknowns[AT_LATENCY]
-    early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, nxt, behind)
-    wheel = (0.5 * (early + late) - unknowns[AT_WHEEL_ZERO]) * scale
-    u, u_rate = 0.5 * (ticks[k, U] + ticks[nxt, U]), (ticks[nxt, U] - ticks[k, U]) / DT
-    return DriveInputs(u, u_rate, wheel, (late - early) / DT * scale, scale)
 
 
 @kernel
@@ -373,11 +335,7 @@ def complete_jacobian(
     for j in range(active.places.shape[0]):
         place = active.places[j]
         if AT_WHEEL_ZERO <= place <= AT_LATENCY:
-            factor = -drive.wheel_rate
-            if place == AT_WHEEL_ZERO:
-                factor = -drive.wheel_scale
-            elif place == AT_WHEEL_GAIN:
-                factor = -drive.wheel
+            factor = wheel_slope(place, drive)
             for i in range(X_PUSH):
                 F_unknowns[i, j] = factor * step.wheel[i]
             if N_STATES + j < in_covariance:
@@ -509,9 +467,3 @@ def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transiti
     variances = stationary(ground, setup)
     for i in range(X_PUSH, N_STATES):
         q[i] = (1.0 - decay[i] * decay[i]) * variances[i]
-
-
-@inner_kernel
-def set_wheel_noise(u: float, sigma_f: float, sds: Array, step: Transition) -> None:
-    """Process noise of the front slip angle from that of the wheel angle."""
-    step.q[:, X_ALPHA] = (u / sigma_f * sds[0] * DT) ** 2

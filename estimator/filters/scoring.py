@@ -25,6 +25,8 @@ from tilth.estimator.filters.likelihood import (
     with_gains,
     with_noise_levels,
 )
+from tilth.estimator.filters.measurement_model import outliers
+from tilth.estimator.filters.newton import newton_step, share_of_step
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
@@ -47,7 +49,6 @@ STEPS_APART: Final = 8  # at most, of `_apart`; the later ones are halved: no co
 FURTHEST: Final = 3.0
 """Sds of any of the six by which `_apart` may leave the likelihood's maximum. A relaxation length that has
 become short enough has no effect any more: sigma_i came out at a tenth in one of 16 fields."""
-OUTLIER: Final = 5.0  # sds: such a row is left out, from the third iteration on
 LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
 LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 EMPTY_PROMISE: Final = 2.0
@@ -127,7 +128,7 @@ def leave_out_outliers(search: Search, point: Array) -> None:
 
 
 def _leave_out(search: Search, e: Array, S: Array) -> None:
-    search.used = np.where(np.abs(e) > OUTLIER * np.sqrt(S), 0.0, search.used)
+    search.used = np.where(outliers(search.record.rows, e, S), 0.0, search.used)
 
 
 def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
@@ -138,12 +139,12 @@ def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
         if exact:
             at = with_gains(search, at)
         gradient, information = gradient_and_information(search, at, scores_at(search, at))
-        newton = np.linalg.solve(information, gradient)
-        promised = float(gradient @ newton) / 2.0
+        newton, sds = newton_step(gradient, information)
+        promised = -float(gradient @ newton) / 2.0
         step, tried, then = _descend(search, at, gradient, information, damping)
-        sizes = np.abs(step) / _sds(information)
+        sizes = np.abs(step) / sds
         if then is None:
-            return Minimum(at, k, float(np.max(np.abs(newton) / _sds(information))), promised)
+            return Minimum(at, k, float(np.max(np.abs(newton) / sds)), promised)
         damping = max(damping * 0.2, LEAST_DAMPING) if tried == 1 else damping * MORE ** (tried - 1)
         if k == 2 and not exact:  # outliers are chosen once in a fit, at this point
             _leave_out(search, then.e, then.S)
@@ -162,8 +163,8 @@ def _descend(
     """(step, tries, what is there after it); None in the third place if no step lowers the cost."""
     limits = _step_limits(search)
     for tried in range(1, TRIES + 1):
-        damped = information + damping * MORE ** (tried - 1) * np.diag(np.diag(information))
-        step = _limited(np.asarray(np.linalg.solve(damped, -gradient), np.float64), limits)
+        more = damping * MORE ** (tried - 1)
+        step = newton_step(gradient, information, damping=more, limits=limits).change
         trial = at.point.copy()
         trial[search.active] += step
         then = evaluate(search, trial, at)
@@ -175,21 +176,18 @@ def _descend(
 def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
     """(the likelihood's maximum with `apart_from_ground`, the information there, whether it was found). Noise
     levels stay."""
-    places, of_motion = search.active[search.of_motion], search.of_motion
-    of_six, limits = places < 6, _step_limits(search)[search.of_motion]
+    of_six, limits = search.active < 6, _step_limits(search)
     driven, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
     found, information = start = apart_from_ground(search, evaluate(search, at.point, at, driven))
     for k in range(STEPS_APART):
         gradient, _ = gradient_and_information(search, found, scores_at(search, found))
-        newton = np.linalg.solve(information[np.ix_(of_motion, of_motion)], -gradient[of_motion])
-        share = 1.0 if k < STEPS_APART // 2 else 0.5
-        step = share * _limited(np.asarray(newton, np.float64), limits)
+        newton, sds = newton_step(gradient, information, moving=search.of_motion, limits=limits)
+        step = share_of_step(k, STEPS_APART) * newton
         point = found.point.copy()
-        point[places] += step
-        sds = _sds(information)[of_motion]
+        point[search.active] += step
         size, since, moved = (
             float(np.max((np.abs(change) / sds)[of_six], initial=0.0))
-            for change in (step, (point - renewed)[places], (point - at.point)[places])
+            for change in (step, (point - renewed)[search.active], (point - at.point)[search.active])
         )
         if since > ARRIVED_STEP:
             driven, renewed = response_to_steering(search, point), point
@@ -204,11 +202,6 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
     return *start, False  # nothing better than the likelihood's maximum is known
 
 
-def _sds(information: Array) -> Array:
-    """Posterior sds, shape (a,)."""
-    return np.asarray(np.sqrt(np.diag(inverse(information))), np.float64)
-
-
 def with_gain(found: Posterior, gain: float) -> Posterior:
     """The same posterior with another `gain`."""
     return replace(found, gain=gain)
@@ -218,8 +211,3 @@ def _step_limits(search: Search) -> Array:
     """How far one step may go, (a,)."""
     limits: Array = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
     return limits
-
-
-def _limited(step: Array, limits: Array) -> Array:
-    """The step, shortened to its limits."""
-    return np.asarray(step / max(float(np.max(np.abs(step) / limits, initial=0.0)), 1.0), np.float64)

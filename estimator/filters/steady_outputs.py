@@ -20,7 +20,6 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.propagation import (
     P_SHRINK,
     Active,
-    DriveInputs,
     Plant,
     empty_plant,
     rate_jacobians,
@@ -28,6 +27,7 @@ from tilth.estimator.filters.propagation import (
     set_plant,
 )
 from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.sensors.wheel_angle import DriveInputs
 from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_PSI, X_R, X_ROLL, X_SLOPE, X_SPEED, X_V, Point
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.record.steady_driving import SteadySample

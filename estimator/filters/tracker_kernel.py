@@ -6,7 +6,7 @@ variance stay.
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +23,17 @@ from tilth.estimator.filters.joint_update import (
     update,
 )
 from tilth.estimator.filters.measurement_model import (
+    GATES,
+    NOISE_LEVELS,
     noise_factor,
     observation,
-    predict_joint_measurement,
+    predict_measurement,
 )
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
     GroundNoise,
     Plant,
-    drive_at,
     empty_plant,
     linearise,
     propagate,
@@ -41,19 +42,18 @@ from tilth.estimator.filters.propagation import (
     set_plant,
     set_processes,
     set_slopes,
-    set_wheel_noise,
     slopes_of_steering,
     state_rates,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
 from tilth.estimator.filters.states import N_STATES, X_PUSH, X_UNEVEN, Places, Point
 from tilth.estimator.filters.transition import Transition, empty_transition
-from tilth.estimator.filters.unknowns import geometry, set_geometry
-from tilth.estimator.record.record import ROLL_ANGLE, SD, VALUE, VELOCITY, YAW_RATE
+from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, geometry, set_geometry
+from tilth.estimator.record.record import SD, VALUE
 
 Array = NDArray[np.float64]
 
-GATE: Final = 5.0  # sds of the innovation; a larger one is an outlier
 USED, GATED, BAD = 0, 1, 2  # indices into RowTally.counts: updated, outlier, not a finite number
 SENSORS, GROUND = 4, 5  # rows of RowTally.sums: sensors, then what the ground does
 
@@ -84,9 +84,9 @@ class RowTally(NamedTuple):
 
     counts: Array  # (3,), rows by USED, GATED, BAD
     sums: Array  # (9, 2)
-    """Rows 0 to 3, yaw rates, velocities, positions, rolls: sum of the squares of the residuals over the
-    stated sds, and number. Rows 4 to 8, pushes and unevenness: sum of the squares of their estimates, and of
-    the expected values of these."""
+    """Rows 0 to 3, by noise level (yaw rates, velocities, positions, rolls): sum of the squares of the
+    residuals over the stated sds, and number. Rows 4 to 8, pushes and unevenness: sum of the squares of their
+    estimates, and of the expected values of these."""
 
 
 @kernel
@@ -128,13 +128,7 @@ def add_residual(
     """Add the square of what is left of an innovation after its update to the tally of its sensor."""
     remaining = noise_variance / variance
     residual = remaining * remaining * error * error + (1.0 - remaining) * noise_variance
-    group = 2
-    if kind == YAW_RATE:
-        group = 0
-    elif kind == VELOCITY:
-        group = 1
-    elif kind == ROLL_ANGLE:
-        group = 3
+    group = NOISE_LEVELS[kind] - AT_S_YAW_RATE
     sums[group, 0] += residual / (stated_sd * stated_sd)
     sums[group, 1] += 1.0
 
@@ -209,7 +203,7 @@ def take_measurement(
     obs = observation(ticks, row, k, u, x, following, on.state.unknowns)
     for i in range(N_STATES):
         on.x_at[i] = x[i] + obs.share * (following[i] - x[i])
-    error = row[VALUE] - predict_joint_measurement(on.x_at, obs, on.point, on.active, setup, on.h)
+    error = row[VALUE] - predict_measurement(on.x_at, obs, on.point, on.active, setup, on.h)
     noise_variance = (row[SD] * noise_factor(obs.kind, on.state.unknowns)) ** 2
     if not (math.isfinite(error) and math.isfinite(noise_variance)):
         counts[BAD] += 1.0
@@ -217,7 +211,7 @@ def take_measurement(
     on.error[0], on.variance[0] = error, noise_variance
     between(obs.share, on.h, on.step, on.H)
     unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
-    if not update(on.error, on.variance, on.H, on.state, on.step, GATE, on.work):
+    if not update(on.error, on.variance, on.H, on.state, on.step, GATES[obs.kind], on.work):
         counts[GATED] += 1.0
         return
     counts[USED] += 1.0

@@ -235,7 +235,7 @@ UNKNOWNS: Final = (
     ),
 )  # fmt: skip
 """What the data may say otherwise than the machine file, or beyond it. A new row needs nothing else where it
-acts on a parameter of the motion model; what it does to a measurement stands in measurement_model.py, and
+acts on a parameter of the motion model; what it does to a measurement stands with its sensor (sensors/), and
 what it does to the ground's noise in propagation.py.
 
 model_sd: on the spatial plant such errors are left after 20 min of a field, where noise explains a tenth of

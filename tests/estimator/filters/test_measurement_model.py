@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from tilth.deploy import motion_equations
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.measurement_model import Observation, predict_measurement
-from tilth.estimator.filters.propagation import set_parameters
+from tilth.estimator.filters.measurement_model import predict_measurement
+from tilth.estimator.filters.propagation import Active, set_parameters
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import (
     N_STATES,
     X_ASIDE,
@@ -35,6 +36,7 @@ Array = NDArray[np.float64]
 SETUP = rig_setup(MACHINE)._replace(heights=np.array([2.8, 0.0, 3.1, 2.0]))
 SPEED = 3.0
 predict = predict_measurement.interpreted()
+NOTHING = Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
 
 
 def somewhere(seed: int) -> tuple[Array, Point]:
@@ -52,7 +54,7 @@ def somewhere(seed: int) -> tuple[Array, Point]:
 def value(x: Array, kind: int, place: int, point: Point, setup: RigSetup = SETUP) -> float:
     psi_ref = x[X_PSI + place // 2]
     obs = Observation(kind, place, 0.0, SPEED, psi_ref, 0.0)
-    return float(predict(x, obs, point, setup, np.zeros(N_STATES)))
+    return float(predict(x, obs, point, NOTHING, setup, np.zeros(N_STATES)))
 
 
 def rate(x: Array) -> Array:

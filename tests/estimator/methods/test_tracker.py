@@ -13,7 +13,7 @@ from stretches import ACTIVE, SETUP, Array, somewhere
 
 from tilth.estimator import fold
 from tilth.estimator.filters import fit_covariance, soil_change, unknowns
-from tilth.estimator.filters.measurement_model import Observation, predict_joint_measurement
+from tilth.estimator.filters.measurement_model import predict_measurement
 from tilth.estimator.filters.propagation import (
     Active,
     first_covariance,
@@ -22,6 +22,7 @@ from tilth.estimator.filters.propagation import (
     set_slopes,
 )
 from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import (
     N_STATES,
     SLOPE_LENGTH,
@@ -147,7 +148,7 @@ def test_the_first_look_is_where_to_begin_and_tells_no_more() -> None:
 @pytest.mark.parametrize(("kind", "place"), KINDS)
 def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int) -> None:
     x, point = somewhere(3)
-    run = predict_joint_measurement.interpreted()
+    run = predict_measurement.interpreted()
 
     def at(x: Array, point: Array) -> tuple[float, Array]:
         geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_STATES + len(ACTIVE))
@@ -157,11 +158,11 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         value = run(x, Observation(kind, place, 0.0, 4.5, 0.3, 0.0), where, active, SETUP, h)
         return value, h
 
-    value, h = at(x, point)
-    steps = 1e-6 * np.eye(N_STATES)
-    found = [(at(x + step, point)[0] - value) / 1e-6 for step in steps]
-    found += [(at(x, point + 1e-6 * np.eye(len(point))[k])[0] - value) / 1e-6 for k in ACTIVE]
-    np.testing.assert_allclose(h, found, atol=2e-3)
+    h = at(x, point)[1]
+    states, constants = 1e-4 * np.eye(N_STATES), 1e-4 * np.eye(len(point))[ACTIVE]
+    found = [at(x + step, point)[0] - at(x - step, point)[0] for step in states]
+    found += [at(x, point + step)[0] - at(x, point - step)[0] for step in constants]
+    np.testing.assert_allclose(h, np.array(found) / 2e-4, atol=1e-7)
 
 
 # On frames of the virtual tractor

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.fit_covariance import model_sd
-from tilth.estimator.filters.measurement_model import observation, predict_joint_measurement
+from tilth.estimator.filters.measurement_model import observation, predict_measurement
 from tilth.estimator.filters.propagation import (
     Active,
     empty_plant,
@@ -21,10 +21,10 @@ from tilth.estimator.filters.propagation import (
     set_plant,
     set_processes,
     set_slopes,
-    set_wheel_noise,
     stationary,
 )
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.sensors.wheel_angle import set_wheel_noise
 from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_POSITION, X_PSI, X_PUSH, X_V, Point
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
@@ -207,7 +207,7 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     x, rng = moving(seed, setup, point, ticks[:, 0]), np.random.default_rng(5000 + seed)
     ticks[:, 2:4] = x[:, X_PSI : X_PSI + 2]
     rows, unused = advice.planned_rows(machine, count, (advice.HERTZ,) * 4), np.zeros(N_STATES)
-    observe, predict = observation.interpreted(), predict_joint_measurement.interpreted()
+    observe, predict = observation.interpreted(), predict_measurement.interpreted()
     for row in rows:
         k = int(row[0])
         obs = observe(ticks, row, k, SPEED, x[k], x[min(k + 1, count - 1)], point.unknowns)

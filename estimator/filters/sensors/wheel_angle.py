@@ -1,0 +1,67 @@
+"""The sensor of the wheel angle. It drives the motion and updates nothing, so it has no gate: its noise is
+noise of the front slip angle."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.states import DT, X_ALPHA
+from tilth.estimator.filters.transition import Transition
+from tilth.estimator.filters.unknowns import AT_LATENCY, AT_WHEEL_GAIN, AT_WHEEL_ZERO
+from tilth.estimator.record.record import WHEEL_ANGLE, U
+
+Array = NDArray[np.float64]
+
+
+class DriveInputs(NamedTuple):
+    """Inputs of the rig in the middle of a tick."""
+
+    u: float  # m/s
+    u_rate: float  # m/s^2
+    wheel: float  # true wheel angle, rad
+    wheel_rate: float  # its rate, rad/s
+    wheel_scale: float  # true wheel angle over reading
+
+
+@inner_kernel
+def wheel_angle_at(ticks: Array, k: int, behind: float) -> float:
+    """The wheel's reading `behind` seconds before tick k (linear between ticks, held at the ends)."""
+    n = ticks.shape[0]
+    at = k - behind / DT
+    if at <= 0.0:
+        return float(ticks[0, WHEEL_ANGLE])
+    if at >= n - 1:
+        return float(ticks[n - 1, WHEEL_ANGLE])
+    low = int(at)
+    share = at - low
+    return float(ticks[low, WHEEL_ANGLE] * (1.0 - share) + ticks[low + 1, WHEEL_ANGLE] * share)
+
+
+@inner_kernel
+def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
+    """Inputs of the rig in the middle of tick k. unknowns: (n,)."""
+    k = min(k, ticks.shape[0] - 1)
+    nxt = min(k + 1, ticks.shape[0] - 1)
+    scale = math.exp(-unknowns[AT_WHEEL_GAIN])
+    behind = unknowns[AT_LATENCY]
+    early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, nxt, behind)
+    wheel = (0.5 * (early + late) - unknowns[AT_WHEEL_ZERO]) * scale
+    u, u_rate = 0.5 * (ticks[k, U] + ticks[nxt, U]), (ticks[nxt, U] - ticks[k, U]) / DT
+    return DriveInputs(u, u_rate, wheel, (late - early) / DT * scale, scale)
+
+
+@inner_kernel
+def wheel_slope(unknown: int, drive: DriveInputs) -> float:
+    """Derivative of the true wheel angle by an unknown of its sensor, AT_WHEEL_ZERO to AT_LATENCY."""
+    if unknown == AT_WHEEL_ZERO:
+        return -drive.wheel_scale
+    return -drive.wheel if unknown == AT_WHEEL_GAIN else -drive.wheel_rate
+
+
+@inner_kernel
+def set_wheel_noise(u: float, sigma_f: float, sds: Array, step: Transition) -> None:
+    """Process noise of the front slip angle from that of the wheel angle. sds: as RigSetup.sds."""
+    step.q[:, X_ALPHA] = (u / sigma_f * sds[0] * DT) ** 2

@@ -1,0 +1,35 @@
+"""A receiver's yaw rate: that of its body, a little ago."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.propagation import Active
+from tilth.estimator.filters.sensors.observation import Observation
+from tilth.estimator.filters.states import DT, N_STATES, X_R
+from tilth.estimator.filters.unknowns import AT_RATE_LATE, AT_S_YAW_RATE
+
+Array = NDArray[np.float64]
+
+NOISE: Final = AT_S_YAW_RATE  # logarithm of the factor on the stated sd
+GATE: Final = 5.0  # sds of the innovation; a larger one is an outlier
+
+
+@inner_kernel
+def observe_yaw_rate(obs: Observation, x: Array, following: Array, unknowns: Array) -> Observation:
+    """The same with how late it is. x, following: (30,), the state at the ticks before and after."""
+    kind, place, share, u, psi_ref, _ = obs
+    faster = (following[X_R + place] - x[X_R + place]) / DT
+    return Observation(kind, place, share - unknowns[AT_RATE_LATE + place] / DT, u, psi_ref, faster)
+
+
+@inner_kernel
+def predict_yaw_rate(x: Array, obs: Observation, active: Active, h: Array) -> float:
+    """rad/s; fills h."""
+    h[X_R + obs.place] = 1.0
+    for j in range(active.places.shape[0]):
+        if active.places[j] == AT_RATE_LATE + obs.place:
+            h[N_STATES + j] = -obs.faster
+    return float(x[X_R + obs.place])
