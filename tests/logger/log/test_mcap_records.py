@@ -218,9 +218,7 @@ def test_what_was_left_out_of_a_copy_is_missing_in_it(
     assert main(["recover", str(copy)]) == 0 and "was whole" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "words", [["verify"], ["recover"], ["decode"], ["replay"], ["fit"]]
-)
+@pytest.mark.parametrize("words", [["verify"], ["recover"], ["decode"], ["replay"], ["fit"]])
 def test_a_pipe_in_the_place_of_a_log_is_not_waited_for(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
