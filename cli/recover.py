@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
             print(f"tilth recover: {error}", file=sys.stderr)
             status = 1
         except OSError as error:
-            what = error.filename or path
+            what = error.filename or args.out or path
             print(f"tilth recover: {what}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
             status = 1
     return status

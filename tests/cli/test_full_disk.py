@@ -14,6 +14,7 @@ WRITERS: dict[str, tuple[str, str, tuple[str, ...]]] = {  # file on the disk -> 
     "again.mcap": ("24k", "replay", ("LOG", "--out", "OUT")),
     "rig.svg": ("16k", "model", ("MACHINE", "--plot", "OUT")),
     "rig.pdf": ("16k", "model", ("MACHINE", "--plot", "OUT")),
+    "rescued.mcap": ("24k", "recover", ("LOG", "--out", "OUT")),
     "driven.log": ("64k", "simulate", ("SCENARIO", "--seconds", "2", "--out", "OUT")),
     "driven.mcap": ("64k", "simulate", ("SCENARIO", "--seconds", "2", "--out", "OUT")),
     "draft.toml": ("0", "discover", ("LOG", "--out", "OUT")),
