@@ -163,7 +163,8 @@ class _FileReading:
         if records.covered:
             self.wrong.append(f"bytes that cannot be read ({records.covered})")
         if records.cut and not self._being_written:
-            self.wrong.append(f"was left unfinished; `{command('recover')}` finishes it")
+            how = "--out NEW.mcap` writes what can be read" if records.faults else "` finishes it"
+            self.wrong.append(f"was left unfinished; `{command('recover')}{' ' * bool(records.faults)}{how}")
         faults = [str(fault) for fault in records.faults]
         self.wrong += faults[:MOST_TOLD]
         if len(faults) > MOST_TOLD:

@@ -1,6 +1,11 @@
-"""Names of files as text that can be stored and published: on a disk they are bytes, some not UTF-8."""
+"""Texts from outside as people can read them: marks, and names of files, which are bytes on a disk."""
+
+import re
+from typing import Final
+
+_ILLEGIBLE: Final = re.compile(r"[^\t\n -~\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def readable(name: object) -> str:
-    r"""As a person reads it, what is in no encoding escaped: caf\udce9."""
-    return str(name).encode(errors="backslashreplace").decode()
+def readable(text: object) -> str:
+    r"""What no terminal, page or figure can show is written as Python would write it: caf\udce9, \x1b."""
+    return _ILLEGIBLE.sub(lambda found: ascii(found[0])[1:-1], str(text))

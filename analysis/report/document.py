@@ -5,7 +5,6 @@ where there is nothing to say. `plain` makes plain data of what other rooms comp
 """
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
@@ -16,7 +15,6 @@ import numpy as np
 FORM: Final = 1  # of the JSON; grows when a key changes its meaning
 PLAIN, WARNING = "plain", "warning"
 HELD_OUT: Final = "held_out"  # mark of a cell
-_ILLEGIBLE: Final = re.compile(r"[^\t\n -~\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """What XML and fonts do not take: control characters, halves of characters as in names that are no UTF-8."""
 _DIGITS: Final = 15  # of a number in JSON: binary fractions as people write them
 
@@ -125,11 +123,6 @@ def _part(part: Part) -> dict[str, Any]:
 def _cell(cell: ReportCell) -> dict[str, Any]:
     found = {"text": cell.text, "value": cell.value, "sd": cell.sd, "mark": cell.mark}
     return {key: value for key, value in found.items() if value not in (None, "") or key == "text"}
-
-
-def legible(text: str) -> str:
-    """With what no page and no figure can show written as Python would write it: \\x08, \\udcff."""
-    return _ILLEGIBLE.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def plain(value: Any) -> Any:

@@ -13,9 +13,10 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from tilth.analysis.report import drive_figures, result_figures
-from tilth.analysis.report.document import ReportFigure, legible
+from tilth.analysis.report.document import ReportFigure
 from tilth.analysis.report.figure_look import GRID, INK, LOOK, PAPER, QUIET
 from tilth.analysis.report.sensitivity_figures import SENSITIVITY_DRAWINGS
+from tilth.schemas.readable import readable
 
 DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "path": drive_figures.path,
@@ -72,9 +73,9 @@ def inline(figure: ReportFigure) -> str:
     assert box is not None
     width = float(box[1].split()[2])
     name, told = f"{figure.id}-title", f"{figure.id}-desc"
-    names = f'<title id="{name}">{escape(legible(figure.caption))}</title>'
+    names = f'<title id="{name}">{escape(readable(figure.caption))}</title>'
     return (
         f'<svg role="img" viewBox="{box[1]}" style="max-width: {width / PT_PER_REM:.1f}rem" '
         f'aria-labelledby="{name}" aria-describedby="{told}">{names}'
-        f'<desc id="{told}">{escape(legible(figure.description))}</desc>{body}</svg>'
+        f'<desc id="{told}">{escape(readable(figure.description))}</desc>{body}</svg>'
     )

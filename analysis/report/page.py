@@ -15,9 +15,9 @@ from tilth.analysis.report.document import (
     ReportSection,
     ReportTable,
     ReportText,
-    legible,
 )
 from tilth.analysis.report.figures import inline
+from tilth.schemas.readable import readable
 
 LONG: Final = 28  # characters of a text that may take several lines
 WIDE: Final = 8  # columns
@@ -26,7 +26,7 @@ _DEEPEST: Final = 6  # heading of HTML
 
 def escape(text: str) -> str:
     """For HTML; a number and its % stay on one line."""
-    return html.escape(legible(text)).replace(" %", "\u00a0%")
+    return html.escape(readable(text)).replace(" %", "\u00a0%")
 
 
 def page(report: DriveReport) -> str:

@@ -18,9 +18,9 @@ from tilth.analysis.report.document import (
     ReportFigure,
     ReportSection,
     ReportTable,
-    legible,
 )
 from tilth.analysis.report.figures import svg
+from tilth.schemas.readable import readable
 
 WIDE: Final = 8  # columns of a table that is set smaller
 LONG: Final = 30  # characters of a text that is broken
@@ -54,11 +54,11 @@ def paper(report: DriveReport) -> bytes:
 def content(report: DriveReport) -> dict[str, Any]:
     """What paper.typ sets, one part after the other; figures as SVG."""
     parts = [part for section in report.sections for part in _section(section, 1)]
-    return {"title": legible(report.title), "parts": parts}
+    return {"title": readable(report.title), "parts": parts}
 
 
 def _section(section: ReportSection, level: int) -> Iterator[dict[str, Any]]:
-    yield {"kind": "heading", "level": level, "text": legible(section.title)}
+    yield {"kind": "heading", "level": level, "text": readable(section.title)}
     yield from map(_part, section.parts)
     for inner in section.sections:
         yield from _section(inner, level + 1)
@@ -68,9 +68,9 @@ def _part(part: Part) -> dict[str, Any]:
     if isinstance(part, ReportTable):
         return _table(part)
     if isinstance(part, ReportFigure):
-        texts = {"caption": legible(part.caption), "description": legible(part.description)}
+        texts = {"caption": readable(part.caption), "description": readable(part.description)}
         return {"kind": "figure", "svg": svg(part), **texts}
-    return {"kind": part.kind, "text": legible(part.text)}
+    return {"kind": part.kind, "text": readable(part.text)}
 
 
 def _table(part: ReportTable) -> dict[str, Any]:
@@ -81,12 +81,12 @@ def _table(part: ReportTable) -> dict[str, Any]:
     ]
     return {
         "kind": "table",
-        "caption": legible(part.caption),
-        "columns": list(map(legible, part.columns)),
+        "caption": readable(part.caption),
+        "columns": list(map(readable, part.columns)),
         "wide": [length > LONG for length in longest],
         "small": len(part.columns) >= WIDE,
         "cells": [
-            {"text": _breakable(legible(cell.text)), "held": cell.mark == HELD_OUT}
+            {"text": _breakable(readable(cell.text)), "held": cell.mark == HELD_OUT}
             for row in part.rows
             for cell in row
         ],

@@ -18,7 +18,7 @@ from tilth.logger.log.disk import sync_folder
 from tilth.schemas.readable import readable
 
 STAMP = "%Y%m%dT%H%M%SZ"
-_FILE = re.compile(r"(?P<run>.+_(?P<stamp>\d{8}T\d{6}Z))_(?P<part>\d{3,})\.mcap")
+_FILE = re.compile(r"(?P<run>.+_(?P<stamp>\d{8}T\d{6}Z))_(?P<part>\d{3,})\.mcap", re.DOTALL)
 DAY_NS = 86_400_000_000_000
 
 
