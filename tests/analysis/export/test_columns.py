@@ -60,7 +60,9 @@ def test_every_field_of_every_message(written: Written, channel: str) -> None:
                 assert _cell(rows, name, k) == value, (name, k)
                 read.add(name)
     times = {"t_s", "utc_s", "utc", "rx_s"}
-    assert set(names) - times <= read and (len(read) > 1 or channel in ("ready", "fit", "accepted"))
+    assert set(names) - times <= read and (
+        len(read) > 1 or channel in ("ready", "fit", "accepted", "addresses")
+    )
 
 
 def test_raw_frames(written: Written) -> None:

@@ -143,9 +143,22 @@ def test_csv_is_that_of_rfc_4180(tmp_path: Path) -> None:
 
 @settings(max_examples=60)
 @example(
-    ["=cmd|' /C calc'!A0", "+1", "-1", "@SUM(1)", "\t=1", "\r=1", "\n=1", "＝1", "'quoted", "''", "", "a=b"]
+    texts=[
+        "=cmd|' /C calc'!A0",
+        "+1",
+        "-1",
+        "@SUM(1)",
+        "\t=1",
+        "\r=1",
+        "\n=1",
+        "＝1",
+        "'quoted",
+        "''",
+        "",
+        "a=b",
+    ]
 )
-@given(st.lists(st.text(max_size=12), min_size=1, max_size=8))
+@given(texts=st.lists(st.text(max_size=12), min_size=1, max_size=8))
 def test_no_text_in_csv_is_a_formula_and_each_can_be_read_back(
     texts: list[str], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -37,7 +37,10 @@ def left(folder: Path) -> list[str]:
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
-@given(hours=st.lists(st.floats(0.0, 100.0), min_size=1, max_size=8), most=st.integers(0, 10))
+@given(
+    hours=st.lists(st.integers(0, 360_000).map(lambda s: s / 3600.0), min_size=1, max_size=8),
+    most=st.integers(0, 10),
+)
 def test_the_oldest_go_as_far_as_needed(
     hours: list[float], most: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
