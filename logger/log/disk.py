@@ -28,6 +28,7 @@ class Disk:
         self._queued_bytes = 0  # counted by the loop
         self._done_bytes = 0  # counted by the thread
         self._busy_since_s: float | None = None
+        self._unsynced: Callable[[], None] | None = None  # the thread's: brings what was written to the disk
         self._thread = threading.Thread(target=self._work, name="tilth-disk", daemon=True)
         self._thread.start()
 
@@ -74,9 +75,22 @@ class Disk:
             job, size = queued
             self._busy_since_s = time.monotonic()
             job()
+            if self.idle:
+                self._sync()
             self.look()
             self._done_bytes += size
             self._busy_since_s = None
+        self._sync()
+
+    def _sync(self) -> None:
+        if self._unsynced is not None:
+            sync, self._unsynced = self._unsynced, None
+            sync()
+
+    def sync_when_idle(self, sync: Callable[[], None]) -> None:
+        """In the thread: call that when nothing waits any more, whichever job was the last. It must not
+        raise."""
+        self._unsynced = sync
 
     def look(self) -> None:
         """See how much room there is."""
@@ -181,8 +195,7 @@ class Spool:
             raise
         self._written += len(batch)
         self._written_frames = frames
-        if self._disk.idle:
-            self._sync()
+        self._disk.sync_when_idle(self._sync_if_open)
 
     def _sync(self) -> None:
         if self.safe_bytes < self._written:
@@ -192,9 +205,13 @@ class Spool:
         self.safe_bytes = self._written
         self.safe_frames = self._written_frames
 
-    def _close(self) -> None:
+    def _sync_if_open(self) -> None:
         if self._descriptor >= 0:
             self._guarded(self._sync)
+
+    def _close(self) -> None:
+        self._sync_if_open()
+        if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
         self.closed = True

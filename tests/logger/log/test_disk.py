@@ -14,6 +14,7 @@ from one_recording import Recorder
 from paths import SUPPORT
 from small_disk import on_a_small_disk
 
+from tilth.logger.log.disk import Disk, Spool
 from tilth.logger.log.run_log import FLUSH_NS
 from tilth.logger.log.runs import stored_runs
 from tilth.logger.status import recording_hours
@@ -143,3 +144,16 @@ def test_hours_left_are_those_at_the_rate_of_recording(tmp_path: Path) -> None:
     run.recording.close()
     assert rate == pytest.approx(run.recording.files[0].stat().st_size / 25.0, rel=0.2)
     assert rate is not None and recording_hours(rate * 7200.0, rate) == pytest.approx(2.0)
+
+
+def test_what_was_written_reaches_the_disk_also_if_another_job_is_the_last(tmp_path: Path) -> None:
+    """Room is looked for behind the head of a file: without a frame nothing else would bring that there."""
+    disk = Disk(tmp_path)
+    spool, hold = Spool(disk, tmp_path / "a.mcap"), threading.Event()
+    spool.make(0.0)
+    disk.do(lambda: (hold.wait(), None)[1])
+    spool.write(b"head")
+    spool.send(0)
+    disk.do(disk.look)
+    hold.set()
+    assert disk.stop() and (spool.safe_bytes, spool.error) == (4, None)
