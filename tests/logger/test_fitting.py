@@ -426,7 +426,7 @@ def test_a_fault_between_asking_and_using_forgets_the_fit() -> None:
     rows = iter(driven())
     while not fitter.jobs:
         fold.take(next(rows))
-    fold.state.aligner = None  # type: ignore[assignment]
+    fold.state.record = None  # type: ignore[assignment]
     for row in rows:
         assert not [p for p, _ in fold.take(row) if p.topic == FIT_TOPIC]
     assert fold.faults == 1

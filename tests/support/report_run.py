@@ -65,7 +65,7 @@ def write_run(path: Path, run: WrittenRun = WrittenRun()) -> Path:
         MACHINE_TEXT,
         RunPart(run.run, 1, START_NS, "clay <dry>"),
     )
-    writer.frame(Frame(START_NS, START_NS, "can0", 0x18FF0B15, True, False, bytes(8)))
+    writer.frame(Frame(START_NS, START_NS, "can0", 0x18FF0B15, True, False, run.run.encode()[:8]))
     for k in range(int(SECONDS * 5) + 1):
         t_ns = START_NS + k * SECOND // 5
         writer.publications(Publication(t_ns, *row) for row in _rows(run, k / 5.0, t_ns))
