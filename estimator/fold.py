@@ -204,7 +204,11 @@ def step(state: State, frame: Frame) -> list[Publication]:
     if state.recognition.before:
         _recall_addresses(state, frame, out)
     position_taken = False
-    for measurement in (measurements := state.decoder.measurements(frame)):
+    measurements = state.decoder.measurements(frame)
+    if mistaken := state.decoder.addresses.mistaken:
+        aligner.forget(state.aligner, mistaken)
+        mistaken.clear()
+    for measurement in measurements:
         position_taken |= _take_measurement(state, frame.t_ns, measurement, out)
     if state.decoder.addresses.unplaced:
         _recognise(state, frame.t_ns, now_ns, measurements, out)

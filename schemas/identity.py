@@ -114,7 +114,17 @@ class _Bus:
 class AddressBook:
     """Claims heard so far, on every bus."""
 
-    __slots__ = ("_buses", "_by_name", "_by_source", "_receivers", "_sd", "_senders", "news", "unplaced")
+    __slots__ = (
+        "_buses",
+        "_by_name",
+        "_by_source",
+        "_receivers",
+        "_sd",
+        "_senders",
+        "mistaken",
+        "news",
+        "unplaced",
+    )
 
     def __init__(self, receivers: Sequence[Receiver]) -> None:
         self._receivers = {receiver.mount: receiver for receiver in receivers}
@@ -134,6 +144,7 @@ class AddressBook:
         self._buses: dict[str, _Bus] = {}
         self._senders: dict[tuple[str, int], Sender] = {}
         self.news: list[tuple[str, str]] = []  # kind and text of events
+        self.mistaken: set[Mount] = set()  # what they have sent may have been another's; until it is taken
         self.unplaced = self._unplaced()
 
     def sender(self, bus: str, source: int) -> Sender:
@@ -217,7 +228,9 @@ class AddressBook:
         book.twins.add(left.name)
         book.holder[source] = left.name
         known = {book.adopted.pop(left.name, None), self._by_name.get((bus, left.name))}
-        book.known -= {mount for mount in known if mount is not None}
+        mounts = {mount for mount in known if mount is not None}
+        book.known -= mounts
+        self.mistaken |= mounts
         text = f"two devices claim NAME {left.name:016X} (addresses {source} and {left.to} on {bus})"
         advice = "it identifies neither; give them by source in the machine file"
         self.news.append(("twin_name", f"{text}: {advice}"))

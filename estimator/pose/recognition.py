@@ -307,7 +307,7 @@ def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], s
     advice = "give them by source in the machine file, or switch them off and on"
     return (
         [],
-        f"no address claim was heard, and positions from addresses {places} tell nothing: {why}; {advice}",
+        f"no address claim tells who they are, nor do positions from addresses {places}: {why}; {advice}",
     )
 
 
@@ -328,7 +328,10 @@ def _found(state: Recognition, machine: Machine, best: Assignment) -> tuple[list
     where = ", ".join(f"{row.mount} at address {row.source}" for row in rows)
     way = f"over {state.travel:.1f} m of travel"
     if not expected:
-        return rows, f"no address claim was heard: receivers are recognised by where they are {way}: {where}"
+        return (
+            rows,
+            f"no address claim tells who is who: receivers are recognised by where they are {way}: {where}",
+        )
     if all(slots.get(mount) == index for mount, index in expected.items()):
         return rows, f"receivers have the addresses that they had before, as positions {way} confirm: {where}"
     return rows, f"receivers have other addresses than before, as positions {way} show: {where}"

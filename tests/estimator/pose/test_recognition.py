@@ -1,10 +1,11 @@
 """Receivers are recognised by where they are, and what was known of them is not believed blindly."""
 
+from dataclasses import replace
 from itertools import permutations
 
 import pytest
 from logs import MACHINE
-from restarted import SECOND, Followed, drive, exchanged, from_s, right
+from restarted import NAMES, SECOND, Followed, drive, exchanged, from_s, right
 
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.can_id import split
@@ -74,3 +75,18 @@ def test_a_rig_in_reverse_is_not_taken_for_one_that_goes_forwards(wheel: bool) -
     told = Followed(turned)
     here = {k.mount: k.source for k in told.state.decoder.addresses.known() if k.mount is not None}
     assert here == (right() if wheel else here) and (not here or here == right())
+
+
+@pytest.mark.parametrize(("one", "other"), list(permutations(Mount, 2)), ids=str)
+def test_a_twin_accuses_no_receiver(one: Mount, other: Mount) -> None:
+    """A device with another receiver's NAME is taken for that one until both are heard."""
+    claim, name = 0x18EEFF00 | right()[one], NAMES[other]
+    assert name is not None
+    told = Followed(
+        [replace(f, data=name.to_bytes(8, "little")) if f.can_id == claim else f for f in from_s(0.0, 10.0)]
+    )
+    said = "; ".join(told.events)
+    assert "two devices claim NAME" in said and "recognised by where they are" in said
+    assert told.wrong == 0 and told.whole > 10
+    assert not any(word in said for word in ("where the machine file says", "another's place", "not fit"))
+    assert "no address claim was heard" not in said  # all were
