@@ -25,6 +25,12 @@ LONE_FRAME_NS: Final = 1_000_000_000  # a larger gap between two stray frames sh
 GAP_LASTS_NS: Final = 10_000_000_000  # in which the longest usual gap between two frames is forgotten
 ESTABLISHED: Final = 16  # frames that agree on a time; fewer may be the exception themselves
 CERTAIN: Final = 24  # frames of two senders in excess of all others: no accident
+LAG_NS: Final = 200_000_000
+"""A bus that is always more than this ahead or behind of the others has a clock of its own: what is only out
+of order is sometimes beside them."""
+MOST_LAG_NS: Final = 1_500_000_000  # more shows by other signs
+APART_VARIES_NS: Final = 100_000_000  # by which such a distance may vary
+APART_LASTS_NS: Final = 1_000_000_000  # before the bus is aligned
 SLEW_NS: Final = 1_000_000  # by which one frame may change the alignment of a bus
 COARSE_NS: Final = 100_000_000  # steps of stamps that are all as long as this align nothing
 COARSE_AFTER: Final = 400  # frames
@@ -59,6 +65,18 @@ class OffTimeFrames:
 
 
 @dataclass(slots=True)
+class ApartBus:
+    """A bus whose stamps are apart from the others' by nearly the same. Its frames are not used until it is
+    aligned. Times ns."""
+
+    since_ns: int  # its stamp when that began
+    least_ns: int  # by which it is ahead
+    most_ns: int
+    frames: int = 0
+    strays: dict[str, Strays] = field(default_factory=dict)  # these, by sender
+
+
+@dataclass(slots=True)
 class LogTime:
     """State of a log's time. All times in ns on the clock of Frame.t_ns, of the bus that was heard first."""
 
@@ -68,6 +86,9 @@ class LogTime:
     stray: int = 0  # stray frames: the log's time before and after them was another
     bus_ns: dict[str, int] = field(default_factory=dict)  # bus -> its greatest stamp since the last jump
     off_time: dict[str, OffTimeFrames] = field(default_factory=dict)  # by bus
+    apart: dict[str, ApartBus] = field(default_factory=dict)  # by bus, of those that may have another clock
+    near: dict[str, int] = field(default_factory=dict)  # bus -> frames beside those of others, up to CERTAIN
+    last_bus: str = ""  # of the frame before
     coarse: bool = False  # which has been reported
     step_ns: int = 0  # shortest time between two different stamps; 0 before there were two
     gap_ns: int = 0  # longest time between two frames lately
@@ -87,6 +108,9 @@ def take_stamp(time: LogTime, frame: Frame) -> int | None:
     A value below 0 is a step back of the log's time by so many ns, above 0 a silence of so many ns.
     """
     frame = on_log_clock(time, frame)
+    is_apart, time.last_bus = _is_apart(time, frame), frame.bus
+    if is_apart:
+        return None
     side = _side(time, frame)
     if side:
         return _off_time_frame(time, frame, side)
@@ -153,6 +177,39 @@ def _side(time: LogTime, frame: Frame) -> int:
         return -1
     # A frame that waited in a queue is no sign of a silence.
     return 1 if min(frame.rx_ns, frame.t_ns) > time.latest_ns + _usual_gap_ns(time) else 0
+
+
+def _is_apart(time: LogTime, frame: Frame) -> bool:
+    """Whether the frame is of a bus that has been apart from the others by nearly the same since it was first
+    heard beside them. When that has lasted, the bus is aligned."""
+    bus, others = frame.bus, [ns for name, ns in time.bus_ns.items() if name != frame.bus]
+    if bus not in time.near:
+        time.near = dict.fromkeys((*time.near, bus), 0)  # what was heard before it was beside nobody
+    if not others or time.near[bus] >= CERTAIN:
+        return False
+    off_ns, apart = frame.t_ns - max(others), time.apart.get(bus)
+    if not LAG_NS < abs(off_ns) < MOST_LAG_NS or (apart is None and time.last_bus == bus):
+        time.near[bus] += abs(off_ns) <= LAG_NS
+        if apart is not None:  # it was only out of order, or alone for a while
+            del time.apart[bus]
+            time.strays = _sum(time.strays, apart.strays)
+        return False
+    if apart is None:
+        apart = time.apart[bus] = ApartBus(frame.t_ns, off_ns, off_ns)
+    apart.least_ns, apart.most_ns = min(off_ns, apart.least_ns), max(off_ns, apart.most_ns)
+    if apart.most_ns - apart.least_ns > APART_VARIES_NS:
+        apart.since_ns, apart.frames, apart.least_ns, apart.most_ns = frame.t_ns, 0, off_ns, off_ns
+    apart.frames += 1
+    time.stray += 1
+    _count(apart.strays, frame, off_ns)
+    if apart.frames >= ESTABLISHED and frame.t_ns - apart.since_ns >= APART_LASTS_NS:
+        by_ns = -apart.least_ns if apart.least_ns > 0 else -apart.most_ns
+        time.offset_ns[bus] = time.offset_ns.get(bus, 0) + by_ns
+        time.strays = _sum(time.strays, apart.strays)
+        time.near[bus] = CERTAIN
+        del time.apart[bus]
+        _tell_aligned(time, bus, time.offset_ns[bus])
+    return True
 
 
 def _usual_gap_ns(time: LogTime) -> int:
@@ -289,14 +346,13 @@ def _align(time: LogTime, off_time: OffTimeFrames, frame: Frame, ahead_ns: int, 
     time.bus_ns[frame.bus] = off_time.latest_ns - off_time.ahead_ns
     del time.off_time[frame.bus]
     _merge(time, off_time)
+    _tell_aligned(time, frame.bus, offset_ns)
+
+
+def _tell_aligned(time: LogTime, bus: str, offset_ns: int) -> None:
     side = "behind" if offset_ns > 0 else "ahead of"
-    time.news.append(
-        (
-            "other_clock",
-            f"the clock of {frame.bus} is {_between(0, abs(offset_ns))} {side} that of the other buses: "
-            "it is aligned by the order of the frames in the log",
-        )
-    )
+    text = f"the clock of {bus} is {_between(0, abs(offset_ns))} {side} that of the other buses"
+    time.news.append(("other_clock", f"{text}: it is aligned by the order of the frames in the log"))
 
 
 def _follow(time: LogTime, frame: Frame) -> None:

@@ -201,7 +201,7 @@ def test_a_minoritys_stamps_are_left_out_and_named(wrong: float | str, share: fl
     assert time.news and time.news[0][0] == "other_time"
 
 
-@pytest.mark.parametrize("apart", [-3600.0, -100.0, -5.0, 5.0, 100.0])
+@pytest.mark.parametrize("apart", [-3600.0, -100.0, -5.0, -1.0, -0.5, -0.3, 0.3, 0.5, 1.0, 5.0, 100.0])
 @pytest.mark.parametrize("ppm", [0.0, 100.0])
 def test_two_buses_with_clocks_apart_are_aligned_by_the_order_of_the_frames(apart: float, ppm: float) -> None:
     time, worst = LogTime(), 0.0
