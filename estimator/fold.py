@@ -83,6 +83,7 @@ class State:
     time: LogTime = field(default_factory=LogTime)  # of the log
     recognition: Recognition = field(default_factory=Recognition)  # of receivers that claim no address
     flags: tuple[Flag, ...] = ()  # of the last pose
+    flag_times: dict[str, int] = field(default_factory=dict)  # flag -> how often it has begun, of OFTEN
     place: tuple[float, float, float, float] | None = None
     """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
     disagree: bool = False  # whether the methods disagree
@@ -301,7 +302,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         pose = replace(pose, flags=tuple(sorted({*pose.flags, *found})))
     out.append(Publication(t_ns, "/pose", pose))
     _publish_drawing(state, t_ns, pose, out)
-    for kind, text in flag_events(state.flags, pose.flags):
+    for kind, text in flag_events(state.flags, pose.flags, state.flag_times):
         out.append(Publication(t_ns, "/event", Event(t_ns, kind, text)))
     state.flags = pose.flags
     if any(flag.kind in (FlagKind.SWAPPED, FlagKind.MOVED) for flag in pose.flags):

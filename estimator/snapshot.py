@@ -57,6 +57,7 @@ def snapshot(state: State) -> str:
         "recognition": to_json_data(state.recognition),
         "time": to_json_data(state.time),
         "flags": to_json_data(state.flags),
+        "flag_times": to_json_data(state.flag_times),
         "place": to_json_data(state.place),
         "disagree": to_json_data(state.disagree),
     }
@@ -142,6 +143,7 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         recognition=stored.value(Recognition, "recognition"),
         time=stored.value(LogTime, "time"),
         flags=tuple(stored.value(list[Flag], "flags")),
+        flag_times=stored.value(dict[str, int], "flag_times"),
         place=stored.optional(tuple[float, float, float, float], "place"),
         disagree=stored.value(bool, "disagree"),
     )

@@ -27,15 +27,35 @@ _SENTENCES = {
 }
 
 
-def flag_events(before: Collection[Flag], now: Collection[Flag]) -> list[tuple[str, str]]:
-    """(kind, text) of the events, from the flags of the pose before and of this one."""
+OFTEN = frozenset({FlagKind.LATE})
+"""What a slow receiver, or one on a busy bus, has all day: told the first time, the tenth, the hundredth."""
+
+
+def flag_events(
+    before: Collection[Flag], now: Collection[Flag], times: dict[str, int]
+) -> list[tuple[str, str]]:
+    """(kind, text) of the events, from the flags of the pose before and of this one.
+
+    times: how often each flag of OFTEN has begun; changed in place.
+    """
     out: list[tuple[str, str]] = []
     for flag in now:
         if flag not in before and flag.kind in _TEXT:
             silent = flag.of == "wheel_angle" and flag.kind is not FlagKind.SPIKES
-            text = "is silent" if silent else _TEXT[flag.kind]
-            out.append((flag.kind, f"{flag.of} {text}"))
+            text = f"{flag.of} {'is silent' if silent else _TEXT[flag.kind]}"
+            if flag.kind in OFTEN:
+                count = times[str(flag)] = times.get(str(flag), 0) + 1
+                text += f" (for the {count}th time)" if count > 1 else ""
+            if _is_told(times, flag):
+                out.append((flag.kind, text))
         elif flag not in before and flag.kind in _SENTENCES:
             out.append((flag.kind, _SENTENCES[flag.kind]))
-    out += [(flag.kind, f"{flag.of}: over") for flag in before if flag not in now and flag.kind in _TEXT]
+    for flag in before:
+        if flag not in now and flag.kind in _TEXT and _is_told(times, flag):
+            out.append((flag.kind, f"{flag.of}: over"))
     return out
+
+
+def _is_told(times: dict[str, int], flag: Flag) -> bool:
+    """Whether it has begun 1, 10, 100 … times, or counts each time."""
+    return str(times.get(str(flag), 1)).rstrip("0") == "1"
