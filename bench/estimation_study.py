@@ -24,6 +24,7 @@ from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.record.windows import WINDOW
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import (
     STEP_S,
@@ -328,7 +329,7 @@ def followed(run: Driven) -> Followed:
             if isinstance(value, Estimate):
                 series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
             elif isinstance(value, Event):
-                events.append((run.seconds_of(value.t_ns), value.kind, value.text))
+                events.append((run.seconds_of(value.t_ns), value.kind, event_sentence(value)))
     tables = {method: np.array(rows) for method, rows in series.items()}
     return Followed(
         run.logs,

@@ -41,7 +41,9 @@ from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
 from tilth.schemas.machine import Bus, Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import Notice
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import event_sentence
 
 BUSES = 4
 RATE = 7600.0  # frames/s: four full buses of 250 kbit/s
@@ -54,7 +56,7 @@ class Recorder:
 
     def __init__(self, machine: Machine, text: str, folder: Path, opener: Opener = open_port) -> None:
         self.clock = Clock()
-        self.events: list[tuple[str, str]] = []
+        self.events: list[tuple[str, Notice]] = []
         self.recording = Recording(folder, machine, text, self.clock, self._report, lambda: "{}")
         self.buses = Buses(machine.bus, self.clock, self._report, opener)
         self.status = pb.Status()  # of this second
@@ -69,7 +71,7 @@ class Recorder:
         while self.events:
             event = Event(t_ns, *self.events.pop(0))
             self.recording.message("/event", t_ns, CHANNEL["/event"].encode(event))
-            print(event.text, flush=True)
+            print(event_sentence(event), flush=True)
         if t_ns >= self._next_ns:
             self._next_ns = t_ns + SECOND_NS
             self.status = pb.Status(t_ns=t_ns, buses=[bus_status(one, t_ns) for one in self.buses.live_buses])
@@ -83,8 +85,8 @@ class Recorder:
         self.buses.close()
         self.recording.close()
 
-    def _report(self, kind: str, text: str) -> None:
-        self.events.append((kind, text))
+    def _report(self, kind: str, told: Notice) -> None:
+        self.events.append((kind, told))
 
 
 def cpu_s() -> float:

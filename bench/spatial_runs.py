@@ -32,7 +32,7 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
-from tilth.schemas.sentences import sentence
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.scenario import Fieldwork, from_json
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ class Heard:
             self.series.setdefault(value.method, []).append([at_s, *numbers(value)])
             self.last[value.method] = value
         elif isinstance(value, Event):
-            self.events.append((self.run.seconds_of(value.t_ns), value.kind, value.text))
+            self.events.append((self.run.seconds_of(value.t_ns), value.kind, event_sentence(value)))
 
     def result(self, row: LogRow) -> dict[str, Any]:
         after = np.zeros(6)

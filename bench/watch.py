@@ -37,6 +37,7 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import Event, Frame, Mount, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.sentences import event_sentence
 
 FIELDS: Final = ("spatial_field", "planar_field")
 MORE: Final = tuple(f"spatial_{name}" for name in ("slope", "3cm", "soil", "flat", "3ms", "random"))
@@ -160,9 +161,13 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
                     poses += 1
                     blocks = state.watch.old_blocks + len(state.watch.blocks)
                     watched += blocks >= watch.LEAST_BEFORE + watch.SINCE[0]
-                elif isinstance(value, Event) and value.kind == watch.EVENT and "accept it" in value.text:
+                elif (
+                    isinstance(value, Event)
+                    and value.kind == watch.EVENT
+                    and "accept it" in event_sentence(value)
+                ):
                     names = tuple(state.watch.moved[-1].names) if state.watch.moved else ()
-                    events.append((value.t_ns, names, value.text))
+                    events.append((value.t_ns, names, event_sentence(value)))
     finally:
         setattr(watch, "observe", observe)  # noqa: B010
     return Watched(events, watched * POSE_S, 1e5 * spent / max(poses, 1))

@@ -44,6 +44,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
     Fieldwork,
@@ -359,7 +360,7 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
     for publication in out:
         at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
         if isinstance(value, Event) and value.kind == CONTRADICTION and not result.first:
-            result.first, result.first_s = value.text, at_s
+            result.first, result.first_s = event_sentence(value), at_s
         if isinstance(value, Estimate) and value.method != "pem_two_step":
             result.given.setdefault(value.method, []).append((at_s, _errors(value, logs)))
             result.off[value.method] = _off(value, logs)
@@ -496,7 +497,7 @@ def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dic
             withheld_s += (frame.t_ns - last_ns) * 1e-9
         last_ns = frame.t_ns
         events += [
-            ((p.t_ns - began) * 1e-9, p.value.text)
+            ((p.t_ns - began) * 1e-9, event_sentence(p.value))
             for p in out if isinstance(p.value, Event) and p.value.kind == CONTRADICTION
         ]  # fmt: skip
     return {

@@ -23,6 +23,7 @@ from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
+from tilth.schemas.sentences import notice_sentence
 
 MOST_MESSAGES = 8
 MOST_CANDIDATES = 5
@@ -93,7 +94,7 @@ def _live_frames(buses: Sequence[Bus], seconds: float) -> Iterator[Frame]:
 
     signal.signal(signal.SIGINT, stop)
     _say(f"listening for {seconds:g} s; Ctrl-C ends it early")
-    return listen(buses, seconds, lambda kind, text: _say(text), lambda: stopping)
+    return listen(buses, seconds, lambda kind, told: _say(notice_sentence(told)), lambda: stopping)
 
 
 def parse_buses(specifications: Sequence[str]) -> list[Bus]:

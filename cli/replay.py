@@ -35,7 +35,7 @@ from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.readable import readable
-from tilth.schemas.sentences import sentence
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.schemas.spread import of_logarithm
 
 
@@ -197,7 +197,7 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
         "truncated": summary.truncated,
         "unknown_sources": [_sender(origin, number) for origin, number in summary.unknown.items()],
         "left_out": summary.left_out,
-        "events": [asdict(event) for event in summary.events],
+        "events": [{**asdict(event), "text": event_sentence(event)} for event in summary.events],
         "flags": {flag: asdict(flagged) for flag, flagged in sorted(summary.flags.items())},
         **estimates_and_nuisances(summary.estimates),
     }

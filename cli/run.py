@@ -16,6 +16,8 @@ from tilth.logger.run_summary import RunSummary
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
 from tilth.logger.zenoh.session import refusal
+from tilth.schemas.flow import EventKind
+from tilth.schemas.notices import in_words
 from tilth.schemas.plausible import unusual
 
 
@@ -66,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             fresh=args.fresh,
             note=args.note,
             supervisor=of_environment(os.environ),
-            events=deque(("machine_file", text) for text in unusual(machine)),
+            events=deque((EventKind.MACHINE_FILE, in_words(text)) for text in unusual(machine)),
         )
     finally:
         display.close()

@@ -6,6 +6,7 @@ can have makes its parameter invalid; whatever is not the message it should be i
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -23,9 +24,10 @@ from tilth.schemas.flow import (
     Status,
     known_flags,
 )
+from tilth.schemas.notices import Notice, NoticeCode, in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason, text_reason
-from tilth.schemas.sentences import advice_sentence, sentence
+from tilth.schemas.sentences import advice_sentence, event_sentence, sentence
 
 LARGEST: Final = 64 * 1024  # bytes of a payload; an estimate has one or two thousand
 LONGEST: Final = 500  # characters of a text that is passed on
@@ -208,7 +210,22 @@ def event_of(data: bytes, encoding: str) -> Event:
     message = parse(pb.Event, data, encoding)
     place = message.HasField("latitude_deg") and message.HasField("longitude_deg")
     latitude, longitude = (message.latitude_deg, message.longitude_deg) if place else (None, None)
-    return Event(message.t_ns, text(message.kind), text(message.text), latitude, longitude)
+    found = Event(message.t_ns, text(message.kind), in_words(text(message.text)), latitude, longitude)
+    if not message.HasField("notice"):
+        return found
+    try:
+        known = replace(found, notice=_notice(message.notice))
+        event_sentence(known)
+    except (LookupError, ValueError, TypeError, RecursionError):  # of another version: in the sender's words
+        return found
+    return known
+
+
+def _notice(sent: pb.Notice) -> Notice:
+    """Raises ValueError where this version does not know it."""
+    values = {one.name: text(one.text) if one.HasField("text") else one.number for one in sent.values}
+    reason = _reason(sent.reason, "") if sent.HasField("reason") else None
+    return Notice(NoticeCode(sent.code), values, tuple(map(_notice, sent.parts)), reason)
 
 
 def rig_of_message(data: bytes, encoding: str) -> HeardRig:

@@ -51,8 +51,8 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
 from tilth.schemas.reasons import Code
-from tilth.schemas.sentences import sentence
 
 POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
 
@@ -134,16 +134,15 @@ def save_learned(state: State, t_ns: int) -> dict[str, SavedPosterior]:
 
 def resume(
     state: State, previous_run: Mapping[str, SavedPosterior], elapsed_s: float, t_ns: int
-) -> dict[str, str]:
+) -> dict[str, Code | None]:
     """Start from what was saved elapsed_s before t_ns; call it before the first frame.
 
-    Returns method -> why its saved posterior is not used, "" where it is used.
+    Returns method -> why its saved posterior is not used, None where it is used.
     """
     refusals = warm_start.resume(state.machine, state.estimators, previous_run, elapsed_s, t_ns)
     state.time.latest_ns = t_ns
-    state.previous_run = {
-        method: before for method, before in previous_run.items() if refusals.get(method) == ""
-    }
+    used = {method for method, refusal in refusals.items() if refusal is None}
+    state.previous_run = {method: before for method, before in previous_run.items() if method in used}
     state.consistency.confirmed = bool(state.previous_run)  # it was saved only because the file was confirmed
     state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals
@@ -198,8 +197,8 @@ def step(state: State, frame: Frame) -> list[Publication]:
     if jump_ns < 0 or (jump_ns > 0 and state.time.misled):
         _clock_stepped(state, frame.t_ns, jump_ns, out)
     elif jump_ns >= log_time.SILENCE_NS:
-        text = f"no frame for {jump_ns * 1e-9:.1f} s"
-        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, text)))
+        silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
+        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, silence)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
     now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
     if state.recognition.before:
@@ -222,9 +221,9 @@ def step(state: State, frame: Frame) -> list[Publication]:
     return out
 
 
-def _publish_news(state: State, news: list[tuple[str, str]], out: list[Publication]) -> None:
+def _publish_news(state: State, news: list[tuple[str, Notice]], out: list[Publication]) -> None:
     """Report what the log's time or the addresses have told."""
-    out += [Publication(state.latest_ns, "/event", Event(state.latest_ns, kind, text)) for kind, text in news]
+    out += [Publication(state.latest_ns, "/event", Event(state.latest_ns, kind, told)) for kind, told in news]
     news.clear()
 
 
@@ -234,12 +233,10 @@ def _recall_addresses(state: State, frame: Frame, out: list[Publication]) -> Non
     book = state.decoder.addresses
     used = [(mount, known) for known in sure if (mount := book.recall(known)) is not None]
     if used:
-        where = ", ".join(f"{mount} at address {known.source}" for mount, known in used)
-        ago_s = (frame.t_ns - used[0][1].last_ns) * 1e-9
-        text = (
-            f"{frame.bus} was silent for {ago_s:.0f} s: receivers have the addresses that they had: {where}"
-        )
-        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, recognition.EVENT, text)))
+        places = (recognition.receiver_at(replace(known, mount=mount)) for mount, known in used)
+        silence_s = (frame.t_ns - used[0][1].last_ns) * 1e-9
+        kept = notice(NoticeCode.ADDRESSES_KEPT, *places, bus=frame.bus, silence_s=silence_s)
+        out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, recognition.EVENT, kept)))
 
 
 def _recognise(
@@ -252,13 +249,13 @@ def _recognise(
     for position in (*heard, *(m for m in measurements if isinstance(m, Position))):
         recognition.take(state.recognition, position)
     heard.clear()
-    found, text = recognition.search(state.recognition, state.aligner, book.unplaced, now_ns)
+    found, told = recognition.search(state.recognition, state.aligner, book.unplaced, now_ns)
     for known in found:
         book.place(known)
     if found:
         state.recognition = Recognition()
-    if text:
-        _publish_event(state, t_ns, recognition.EVENT, text, out)
+    if told is not None:
+        _publish_event(state, t_ns, recognition.EVENT, told, out)
 
 
 def _doubt_addresses(state: State, t_ns: int, out: list[Publication]) -> None:
@@ -267,8 +264,7 @@ def _doubt_addresses(state: State, t_ns: int, out: list[Publication]) -> None:
     if mounts:
         aligner.forget(state.aligner, mounts)
         state.recognition = recognition.restart(state.recognition)
-        text = "receivers may not have the addresses that they had: they are looked for by where they are"
-        _publish_event(state, t_ns, recognition.EVENT, text, out)
+        _publish_event(state, t_ns, recognition.EVENT, notice(NoticeCode.ADDRESSES_DOUBTED), out)
 
 
 def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: list[Publication]) -> bool:
@@ -302,16 +298,16 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         pose = replace(pose, flags=tuple(sorted({*pose.flags, *found})))
     out.append(Publication(t_ns, "/pose", pose))
     _publish_drawing(state, t_ns, pose, out)
-    for kind, text in flag_events(state.flags, pose.flags, state.flag_times):
-        out.append(Publication(t_ns, "/event", Event(t_ns, kind, text)))
+    for kind, told in flag_events(state.flags, pose.flags, state.flag_times):
+        out.append(Publication(t_ns, "/event", Event(t_ns, kind, told)))
     state.flags = pose.flags
     if any(flag.kind in (FlagKind.SWAPPED, FlagKind.MOVED) for flag in pose.flags):
         _doubt_addresses(state, t_ns, out)
     if pose.tractor.x is not None and pose.tractor.y is not None:
         origin_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
-    for kind, text in aligner.news(state.aligner):
-        _publish_event(state, t_ns, kind, text, out)
+    for kind, told in aligner.news(state.aligner):
+        _publish_event(state, t_ns, kind, told, out)
     _act_on_stopped(state, t_ns, stopped, out)
     _act_on_checks(state, t_ns, out)
     if not late:
@@ -344,7 +340,7 @@ def _check_consistency(
         state.consistency, state.machine, state.aligner, state.checks, pose, segment, moved
     )
     for kind, text in events:
-        _publish_event(state, t_ns, kind, text, out)
+        _publish_event(state, t_ns, kind, _found(text), out)
     if state.consistency.must_forget:
         state.consistency.must_forget = False
         _reset_estimators(state, t_ns)
@@ -364,17 +360,19 @@ def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
     """Report the faults found in receivers; exclude smoothed turn rates, and what was learned with them."""
     events = receiver_checks.events(state.checks)
     for kind, text in events:
-        _publish_event(state, t_ns, kind, text, out)
+        _publish_event(state, t_ns, kind, _found(text), out)
     _exclude_smoothed_turn_rates(state)
     if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
         consistency.discard_findings(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
 
 
-def _act_on_stopped(state: State, t_ns: int, events: list[tuple[str, str]], out: list[Publication]) -> None:
+def _act_on_stopped(
+    state: State, t_ns: int, events: list[tuple[str, Notice]], out: list[Publication]
+) -> None:
     """Report sensors that stand still; without the wheel angle there are no numbers."""
-    for kind, text in events:
-        _publish_event(state, t_ns, kind, text, out)
+    for kind, told in events:
+        _publish_event(state, t_ns, kind, told, out)
     screen = state.aligner.screens.by.get(aligner.WHEEL_NAME)
     if screen is not None:
         fault = Code.WHEEL_ANGLE_STANDS if screen.failed else None
@@ -384,14 +382,14 @@ def _act_on_stopped(state: State, t_ns: int, events: list[tuple[str, str]], out:
 def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     """Report what has been moved; leave it out, and what was learned with it."""
     for one in (found := watch.observe(state.watch, state.aligner, pose)):
-        _publish_event(state, t_ns, watch.EVENT, watch.message(one, t_ns), out)
+        _publish_event(state, t_ns, watch.EVENT, _found(watch.message(one, t_ns)), out)
     if found:
         aligner.leave_out(state.aligner, watch.left_out(state.watch))
         consistency.left_out(state.consistency, state.machine)
         _reset_estimators(state, t_ns)
     tyres = wheel_speed.observe(state.watch.wheel_speed, state.aligner, pose)
     if tyres is not None:  # no estimate uses the wheels' speed
-        _publish_event(state, t_ns, watch.EVENT, wheel_speed.message(tyres), out)
+        _publish_event(state, t_ns, watch.EVENT, _found(wheel_speed.message(tyres)), out)
 
 
 def accept(state: State, accepted: Accepted) -> list[Publication]:
@@ -413,7 +411,7 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     state.consistency = consistency.initial(state.machine)
     state.previous_run = {}
     _reset_estimators(state, t_ns)
-    _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(machine, accepted), out)
+    _publish_event(state, t_ns, EventKind.ACCEPTED, _found(acceptance(machine, accepted)), out)
     return out
 
 
@@ -423,23 +421,23 @@ def _exclude_smoothed_turn_rates(state: State) -> None:
         track.smoothed = mount not in usable
 
 
-def _publish_event(state: State, t_ns: int, kind: str, text: str, out: list[Publication]) -> None:
+def _found(text: str) -> Notice:
+    return notice(NoticeCode.FOUND, text=text)
+
+
+def _publish_event(state: State, t_ns: int, kind: str, told: Notice, out: list[Publication]) -> None:
     """Publish an event of a check or a method, with the position of the tractor."""
-    event = Event(t_ns, kind, text)
-    if state.place is not None:
-        latitude, longitude = to_degrees(state.place[:2], *state.place[2:])
-        text = f"{text} (at {latitude:.6f}, {longitude:.6f})"
-        event = Event(t_ns, kind, text, latitude, longitude)
-    out.append(Publication(t_ns, "/event", event))
+    at = (None, None) if state.place is None else to_degrees(state.place[:2], *state.place[2:])
+    out.append(Publication(t_ns, "/event", Event(t_ns, kind, told, *at)))
 
 
 def _publish_events(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
     """Publish the events of a method since the last call."""
-    for kind, text in take_events(state.estimators[row.method]):
+    for kind, told in take_events(state.estimators[row.method]):
         if (
             state.consistency.confirmed or kind != EventKind.SOIL_CHANGE
         ):  # before that, the file may be the cause
-            _publish_event(state, t_ns, kind, text, out)
+            _publish_event(state, t_ns, kind, told, out)
             if kind == EventKind.SOIL_CHANGE:
                 consistency.soil_changed(state.consistency, state.machine)
 
@@ -455,7 +453,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
         return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:
-        _publish_event(state, t_ns, EventKind.DISAGREEMENT, sentence(found), out)
+        _publish_event(state, t_ns, EventKind.DISAGREEMENT, reasoned(found), out)
     state.disagree = bool(found)
     best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
     out.append(Publication(t_ns, "/soil_tire", best))
@@ -530,5 +528,5 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     if state.time.misled:  # which is reported as what it is
         return
     state.clock_steps += 1
-    text = f"the clock of the log stepped back by {-by_ns * 1e-9:.1f} s; positions are aligned anew"
-    out.append(Publication(t_ns, "/event", Event(t_ns, EventKind.CLOCK_STEP, text)))
+    back = notice(NoticeCode.STEPPED_BACK, by_s=-by_ns * 1e-9)
+    out.append(Publication(t_ns, "/event", Event(t_ns, EventKind.CLOCK_STEP, back)))

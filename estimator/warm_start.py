@@ -16,6 +16,7 @@ from tilth.estimator.methods.estimators import Memory, rows_for
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.state_json import Shape
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
@@ -57,41 +58,41 @@ def resume(
     saved: Mapping[str, SavedPosterior],
     elapsed_s: float,
     t_ns: int,
-) -> dict[str, str]:
+) -> dict[str, Code | None]:
     """Start fresh method states from what was saved elapsed_s before t_ns.
 
-    Returns method -> why its saved posterior is not used, "" where it is used.
+    Returns method -> why its saved posterior is not used, None where it is used.
     """
-    refusals = {}
+    refusals: dict[str, Code | None] = {}
     for row in rows_for(machine):
         before = saved.get(row.method)
         if row.memory is None or before is None:
             continue
         method_state = estimators[row.method]
         fresh = row.memory.learned(method_state)
-        refusals[row.method] = _refusal(row.memory, fresh, before)
-        if not refusals[row.method]:
+        refusal = refusals[row.method] = _refusal(row.memory, fresh, before)
+        if refusal is None:
             row.memory.resume(method_state, _faded(row.memory, fresh, before, elapsed_s))
             method_state.informed_ns = t_ns - round((before.age_s + elapsed_s) * 1e9)
     return refusals
 
 
-def _refusal(memory: Memory, fresh: Learned, saved: SavedPosterior) -> str:
-    """Why a saved posterior cannot be used, or ""."""
+def _refusal(memory: Memory, fresh: Learned, saved: SavedPosterior) -> Code | None:
+    """Why a saved posterior cannot be used."""
     """Why a saved posterior cannot be used, or ""."""
     prior = fresh.covariance
     active = np.diag(prior) > 0.0
     expected = (memory.names, prior.shape[:1], prior.shape)
     if (saved.names, saved.mean.shape, saved.covariance.shape) != expected:
-        return "it is of another version"
+        return Code.SAVED_BY_ANOTHER_VERSION
     if not (np.all(np.isfinite(saved.mean)) and np.all(np.isfinite(saved.covariance))):
-        return "it holds what is no number"
+        return Code.SAVED_NOT_FINITE
     block = saved.covariance[np.ix_(active, active)]
     if not np.allclose(block, block.T, atol=1e-9) or np.linalg.eigvalsh(block)[0] <= 0.0:
-        return "its covariance is none"
+        return Code.SAVED_WITHOUT_COVARIANCE
     if any(name not in saved.counts for name in fresh.counts) or not saved.age_s >= 0.0:
-        return "a part of it is missing"
-    return ""
+        return Code.SAVED_INCOMPLETE
+    return None
 
 
 def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: float) -> Learned:

@@ -8,6 +8,7 @@ from tilth.logger.log.marks import Marks, OrderWords
 from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import ACCEPTED_TOPIC, CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.notices import in_words
 
 KEY = "accept"  # the last part of it
 ORDER = OrderWords("an order to accept", "orders to accept", "the name of what has been moved")
@@ -30,12 +31,12 @@ class AcceptLog:
         recording = self._outlets.recording
         for request in self.requests.requests():
             t_ns = self._clock.t_ns()
-            accepted = self._fold.proposal(request.text, t_ns)
+            accepted, asked = self._fold.proposal(request.text, t_ns), in_words(request.text)
             if accepted is None:
-                self.requests.settle(request, Event(t_ns, KEY, request.text), self._refusal(request.text))
+                self.requests.settle(request, Event(t_ns, KEY, asked), self._refusal(request.text))
                 continue
             recording.message(ACCEPTED_TOPIC, t_ns, CHANNEL[ACCEPTED_TOPIC].encode(accepted))
-            event = Event(t_ns, KEY, request.text)
+            event = Event(t_ns, KEY, asked)
             for publication, data in self._fold.accept(accepted):
                 self._outlets.put(publication.topic, publication.t_ns, data)
                 if isinstance(publication.value, Event):

@@ -17,10 +17,11 @@ from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.clock import Clock, boot_id
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.run_log import Recording
-from tilth.logger.warm_start_file import Report, write
+from tilth.logger.warm_start_file import write
 from tilth.schemas.flow import EventKind
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 FORMAT: Final = 1
 LARGEST_BYTES: Final = 1_000_000  # of the file: more is none of ours
@@ -56,8 +57,8 @@ class AddressMemory:
         try:
             known = read(self._path, self._sha256, self._clock)
         except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-            why = f"{self._path} cannot be used ({error})"
-            self._report(EventKind.ADDRESSES, f"who had which address in earlier runs is not known: {why}")
+            unreadable = notice(NoticeCode.ADDRESSES_UNREADABLE, file=str(self._path), error=str(error))
+            self._report(EventKind.ADDRESSES, unreadable)
             return False
         self._fold.recall(known)
         return bool(known)

@@ -37,6 +37,7 @@ from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
 from tilth.schemas.flow import Event, EventKind, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
 
 TURN_S = 0.1  # longest wait for a frame: a stop is noticed in that time
@@ -65,7 +66,7 @@ class Daemon:
     ) -> None:
         """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
         folder learned, unless `fresh`, and keep it for later ones. note, simulated: for the log, as of
-        RunPart. supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, text) that
+        RunPart. supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, notice) that
         is put in here is logged, published and shown like what the daemon notices itself.
 
         Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
@@ -200,12 +201,11 @@ class Daemon:
         step_ns = clock.step_ns(clock.relation())
         if step_ns:
             self.parts.counts.clock_steps += 1
-            step = f"the computer's clock was set by {step_ns * 1e-9:+.3f} s"
-            self._report(EventKind.CLOCK, f"{step}; the log's own clock goes on evenly")
+            self._report(EventKind.CLOCK, notice(NoticeCode.CLOCK_SET, by_s=step_ns * 1e-9))
             self.parts.outlets.recording.clocks(ClockReason.STEP)
 
-    def _report(self, kind: str, text: str) -> None:
-        self._events.append((kind, text))
+    def _report(self, kind: str, told: Notice) -> None:
+        self._events.append((kind, told))
 
 
 def run_daemon(
@@ -222,7 +222,7 @@ def run_daemon(
     fresh: bool = False,
     note: str = "",
     supervisor: Supervisor | None = None,
-    events: deque[tuple[str, str]] | None = None,
+    events: Events | None = None,
 ) -> RunSummary:
     """Run until `stop()` or for so many seconds; the log file is whole in any case.
 

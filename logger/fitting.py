@@ -12,7 +12,6 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
 from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Final, Protocol
@@ -21,6 +20,7 @@ from tilth.logger.fit_worker import Answer, make
 from tilth.logger.priority import FITS, stand_behind
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 UNDECIDED: Final = object()
 LATE: Final = object()
@@ -28,8 +28,6 @@ LEAVE_S: Final = 2.0  # how long the end of a run waits for the worker
 ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )  # a sum split among threads is rounded otherwise, and the other core belongs to the loop
-
-Report = Callable[[str, str], None]  # kind and text of an event
 
 
 class Fitter(Protocol):
@@ -208,7 +206,7 @@ class Worker:
             why_not = stand_behind(FITS, self._process.pid)
         if why_not and not self._said_priority:
             self._said_priority = True
-            self._report(EventKind.FIT, f"fits are made at the recorder's own priority: {why_not}")
+            self._report(EventKind.FIT, notice(NoticeCode.FITS_AT_OWN_PRIORITY, why=why_not))
         _send(self._process, self._machine)
         return self._process
 
@@ -244,7 +242,7 @@ def _send(process: subprocess.Popen[bytes], value: Any) -> None:
 
 
 def _report_failure(report: Report, method: str, error: str) -> None:
-    report(EventKind.FIT, f"a fit of {method} failed: {error}")
+    report(EventKind.FIT, notice(NoticeCode.FIT_FAILED, method=method, why=error))
 
 
 class ReplayedFits:

@@ -48,7 +48,8 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
-from tilth.schemas.reasons import text_reason
+from tilth.schemas.notices import reasoned
+from tilth.schemas.reasons import Code, Reason, text_reason
 
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
@@ -277,8 +278,8 @@ class GuardedFold:
         t_ns: int,
         accepted: Sequence[Accepted] = (),
         moved: Sequence[Moved] = (),
-    ) -> dict[str, str]:
-        """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or "".
+    ) -> dict[str, Reason | None]:
+        """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or None.
 
         accepted: by the operator in earlier runs. moved: found by them, and not accepted."""
         try:
@@ -290,10 +291,10 @@ class GuardedFold:
             carry(self.state, moved)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
-            return dict.fromkeys(learned, f"{type(error).__name__}: {error}")
+            return dict.fromkeys(learned, text_reason(f"{type(error).__name__}: {error}"))
         self.renew()
         self.estimates = dict(self.state.estimates)
-        return refusals
+        return {method: Reason(code) if code else None for method, code in refusals.items()}
 
     def renew(self) -> str:
         """The state as text; the fold goes on from just that text, so that live is replay by construction."""
@@ -324,9 +325,9 @@ class GuardedFold:
     def _start_anew(self, t_ns: int, error: Exception) -> list[Publication]:
         self._give_up()
         self._resume_ns = t_ns + PAUSE_NS
-        reason = f"the estimators failed ({type(error).__name__}: {error}) and start again; frames are logged"
-        none = tuple(ParameterEstimate(None, None, Status.INVALID, text_reason(reason)) for _ in PARAMETERS)
-        publications = [Publication(t_ns, "/event", Event(t_ns, EventKind.FAULT, reason))]
+        failed = Reason(Code.ESTIMATORS_FAILED, (type(error).__name__, str(error)))
+        none = tuple(ParameterEstimate(None, None, Status.INVALID, failed) for _ in PARAMETERS)
+        publications = [Publication(t_ns, "/event", Event(t_ns, EventKind.FAULT, reasoned(failed)))]
         for topic, method in _METHOD_OF.items():
             if method in self.estimates:
                 publications.append(Publication(t_ns, topic, Estimate(t_ns, method, "", none, (), ())))

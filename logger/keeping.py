@@ -6,8 +6,8 @@ from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.run_log import Recording
-from tilth.logger.warm_start_file import Report
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Report
 
 EVERY_NS = 60_000_000_000
 

@@ -1,18 +1,17 @@
 """The estimators as the daemon runs them: the fold, its fits in another process, their kernels."""
 
 import gc
-from collections.abc import Callable
 
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.preparing import Preparing
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 
 class LiveEstimation:
-    def __init__(self, machine: Machine, report: Callable[[str, str], None]) -> None:
-        """report: takes kind and text of an event, from any thread."""
+    def __init__(self, machine: Machine, report: Report) -> None:
         self._report = report
         self.worker = Worker(machine, report)
         self.fold = GuardedFold(machine, fitter=self.worker)
@@ -26,8 +25,7 @@ class LiveEstimation:
     def begin(self) -> None:
         """With the next frame, which the caller logs before."""
         if seconds := self.preparing.seconds:
-            text = f"kernels were compiled for {seconds:.0f} s while frames were recorded; estimates begin"
-            self._report(EventKind.COMPILED, text)
+            self._report(EventKind.COMPILED, notice(NoticeCode.KERNELS_COMPILED, compiling_s=seconds))
         self.fold.ready = True
         gc.freeze()  # what was compiled or loaded stays
 

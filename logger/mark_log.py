@@ -8,6 +8,7 @@ from tilth.logger.log.marks import KIND, Marks
 from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.notices import in_words
 
 
 class MarkLog:
@@ -24,7 +25,7 @@ class MarkLog:
         recording = self._outlets.recording
         for mark in self.marks.requests():
             t_ns = self._clock.t_ns()
-            event = Event(t_ns, KIND, mark.text, *self._fold.place_deg, self._clock.utc_ns(t_ns))
+            event = Event(t_ns, KIND, in_words(mark.text), *self._fold.place_deg, self._clock.utc_ns(t_ns))
             recording.message("/event", event.t_ns, CHANNEL["/event"].encode(event))
             recording.settle(partial(self.marks.settle, mark, event))
         for mark, event, refusal in self.marks.settled():

@@ -12,12 +12,13 @@ from tilth.logger.zenoh.session import why
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, EventKind
+from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
-from tilth.schemas.readable import readable
+from tilth.schemas.sentences import notice_sentence
 
-Events = deque[tuple[str, str]]
-"""Kind and text of what has happened since the last turn of the loop; any thread may append. They are logged
-after the frames of the turn: the times in a file never run back."""
+Events = deque[tuple[str, Notice]]
+"""What has happened since the last turn of the loop, with its kind; any thread may append. It is logged after
+the frames of the turn: the times in a file never run back."""
 
 
 class Outlets:
@@ -34,11 +35,12 @@ class Outlets:
         try:
             self.sink = open_sink()
         except ZError as error:
-            self._no_session = f"nothing is published: {why(error)}; correct [zenoh] in the machine file"
-            self._events.append((EventKind.ZENOH, self._no_session))
+            refused = notice(NoticeCode.NOT_PUBLISHED, why=why(error))
+            self._no_session = notice_sentence(refused)
+            self._events.append((EventKind.ZENOH, refused))
             return
         if self.sink.note:
-            self._events.append((EventKind.ZENOH, self.sink.note))
+            self._events.append((EventKind.ZENOH, notice(NoticeCode.TEXT, text=self.sink.note)))
 
     @property
     def zenoh_problem(self) -> str:
@@ -62,8 +64,8 @@ class Outlets:
     def put_events(self) -> None:
         """Log, publish and show what has happened."""
         while self._events:
-            kind, text = self._events.popleft()
-            event = Event(self._clock.t_ns(), kind, readable(text))
+            kind, told = self._events.popleft()
+            event = Event(self._clock.t_ns(), kind, told)
             self.put("/event", event.t_ns, CHANNEL["/event"].encode(event))
             self.show_event(event)
 

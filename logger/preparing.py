@@ -14,12 +14,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
 from typing import Final
 
 from tilth.logger import compiling, priority
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 LOADING: Final = "loading kernels"
 COMPILING: Final = "compiling kernels, once per machine"
@@ -27,8 +27,6 @@ ANEW: Final = "compiling kernels, which cannot be kept here"
 FOLLOW: Final = "frames are recorded meanwhile, estimates follow"
 LEAVE_S: Final = 2.0  # how long the end of a run waits for it
 SURE: Final = 0.1  # share of the work that must be done before the rest is foretold
-
-Report = Callable[[str, str], None]  # kind and text of an event
 
 
 class Preparing:
@@ -81,10 +79,8 @@ class Preparing:
         except compiling.CompilingStopped:
             return
         except Exception as error:  # whatever it is, the fold has a guard of its own
-            what = f"{type(error).__name__}: {error}"
-            self._report(
-                EventKind.COMPILED, f"kernels could not be prepared ({what}); estimates may come late"
-            )
+            refused = notice(NoticeCode.KERNELS_REFUSED, why=f"{type(error).__name__}: {error}")
+            self._report(EventKind.COMPILED, refused)
         self.text, self.ready = "", True
 
     def _compile(self, anew: bool) -> None:
@@ -94,7 +90,8 @@ class Preparing:
             compiling.cache_folder(self._machine)
         except compiling.NoCacheFolder as why:
             self._anew(str(why))
-        self._report(EventKind.COMPILED, f"{self.text}: {FOLLOW}")
+        kept = self.text == COMPILING
+        self._report(EventKind.COMPILED, notice(NoticeCode.COMPILING if kept else NoticeCode.COMPILING_ANEW))
         self._compile_in_process()
         compiling.prepare(self._machine, self._progress)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
@@ -102,7 +99,7 @@ class Preparing:
     def _anew(self, why: str) -> None:
         """Lend a folder for this run; without one the kernels are compiled here."""
         self.text = ANEW
-        self._report(EventKind.COMPILED, why)
+        self._report(EventKind.COMPILED, notice(NoticeCode.CACHE_REFUSED, why=why))
         folder = os.devnull  # where nothing can be kept, nor found
         with contextlib.suppress(OSError):
             folder = self._lent.enter_context(
@@ -118,8 +115,7 @@ class Preparing:
         except OSError as error:
             why_not = str(error)
         if why_not and not self._closing:
-            now = "it is done beside the recording, which takes frames later than usual meanwhile"
-            self._report(EventKind.COMPILED, f"the process that compiles has failed ({why_not}); {now}")
+            self._report(EventKind.COMPILED, notice(NoticeCode.COMPILER_FAILED, why=why_not))
 
     def _process_ends(self) -> int:
         """Its exit status. Raises OSError where it cannot be started."""
@@ -134,9 +130,7 @@ class Preparing:
             )
             why_not = priority.stand_behind(priority.COMPILING, self._process.pid)
         if why_not:
-            self._report(
-                EventKind.COMPILED, f"kernels are compiled at the recorder's own priority: {why_not}"
-            )
+            self._report(EventKind.COMPILED, notice(NoticeCode.COMPILES_AT_OWN_PRIORITY, why=why_not))
         assert self._process.stdin is not None and self._process.stdout is not None
         with self._process:
             with contextlib.suppress(BrokenPipeError):  # its status tells

@@ -25,6 +25,7 @@ from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import EventKind
 from tilth.schemas.invocation import command, in_background
 from tilth.schemas.limiter import Limiter
+from tilth.schemas.notices import NoticeCode, Report, notice
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
 
@@ -40,9 +41,7 @@ BUSY: Final = "a report is being made already; wait until it is ready"
 class RunReport:
     """At most one at a time. `turn` it in the daemon's loop."""
 
-    def __init__(
-        self, outlets: Outlets, clock: Clock, report: Callable[[str, str], None], keep_free_bytes: float
-    ) -> None:
+    def __init__(self, outlets: Outlets, clock: Clock, report: Report, keep_free_bytes: float) -> None:
         """report: kind and text of an event, from any thread. keep_free_bytes: of the disk, left alone."""
         self._keep_free_bytes = keep_free_bytes
         self._outlets, self._clock, self._report = outlets, clock, report
@@ -129,10 +128,10 @@ class RunReport:
         state = pb.ReportState(state="failed" if why else "ready", began_ns=began_ns)
         state.text, state.ended_ns = readable(why or out.name), self._clock.t_ns()
         if why:
-            self._report(EventKind.REPORT, f"no report of the run so far: {why}")
+            self._report(EventKind.REPORT, notice(NoticeCode.NO_REPORT, why=why))
         else:
             self._last = out
-            self._report(EventKind.REPORT, f"report of the run so far: {out}")
+            self._report(EventKind.REPORT, notice(NoticeCode.REPORT_MADE, file=str(out)))
         self._states.append(state)
 
     def _run(self, logs: Sequence[Path]) -> tuple[Path, str]:
@@ -151,9 +150,7 @@ class RunReport:
                     words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
                 )
                 if why_not := stand_behind(REPORTS, self._process.pid):
-                    self._report(
-                        EventKind.REPORT, f"the report is made at the recorder's own priority: {why_not}"
-                    )
+                    self._report(EventKind.REPORT, notice(NoticeCode.REPORT_AT_OWN_PRIORITY, why=why_not))
                 try:
                     status = self._process.wait(LONGEST_S)
                 except subprocess.TimeoutExpired:

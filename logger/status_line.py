@@ -18,6 +18,7 @@ from tilth.logger.can.live_bus import BusState
 from tilth.logger.clock import utc_text
 from tilth.schemas.flow import Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import event_sentence
 from tilth.schemas.spread import of_logarithm
 from tilth.schemas.states import DeviceState
 
@@ -44,7 +45,7 @@ class PlainDisplay:
             self._write(status.t_ns, plain_line(status, estimate))
 
     def event(self, event: Event) -> None:
-        self._write(event.t_ns, f"{event.kind}: {event.text}")
+        self._write(event.t_ns, f"{event.kind}: {event_sentence(event)}")
 
     def close(self) -> None:
         return
@@ -128,7 +129,7 @@ def panel(
             *(Text(f"✘ {problem}", style="bold red") for problem in status.problems[:MOST_PROBLEMS]),
             *(
                 Text(
-                    f"{utc_text(e.t_ns, '%H:%M:%SZ')} {e.text}",
+                    f"{utc_text(e.t_ns, '%H:%M:%SZ')} {event_sentence(e)}",
                     style="dim",
                     overflow="ellipsis",
                     no_wrap=True,

@@ -7,6 +7,7 @@ of another rig. What a run takes from it stands as the first state in its log.
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,16 +18,17 @@ from tilth.estimator.watch.watch import Moved
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, Report, notice
+from tilth.schemas.reasons import Reason
 
 FORMAT: Final = 1
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
 Warm = Callable[
-    [Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved]], dict[str, str]
+    [Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved]], dict[str, Reason | None]
 ]
 """GuardedFold.warm."""
-Report = Callable[[str, str], None]  # kind and text of an event
 
 
 class KeptRun(NamedTuple):
@@ -123,22 +125,21 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     try:
         found = read(path, machine, t_ns)
     except NotUsable as why_not:
-        report(EventKind.WARM_START, f"what earlier runs learned is not used: {why_not}")
+        report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
         return False
     if found is None:
         return False
     refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted, found.moved)
-    used = [method for method, refusal in refusals.items() if not refusal]
+    used = [method for method, refusal in refusals.items() if refusal is None]
     for method, refusal in refusals.items():
-        if refusal:
-            report(EventKind.WARM_START, f"what {method} learned in earlier runs is not used: {refusal}")
+        if refusal is not None:
+            refused = replace(notice(NoticeCode.METHOD_REFUSED, method=method), reason=refusal)
+            report(EventKind.WARM_START, refused)
     if used:
-        names, hours = ", ".join(used), found.elapsed_s / 3600.0
-        report(EventKind.WARM_START, f"{names} go on from what was learned until {hours:.1f} h ago")
+        resumed = notice(NoticeCode.RESUMED, methods=", ".join(used), hours=found.elapsed_s / 3600.0)
+        report(EventKind.WARM_START, resumed)
     for one in found.accepted:
-        report(
-            "accepted", f"{one.what} is as it was accepted in an earlier run, not as the machine file says"
-        )
+        report(EventKind.ACCEPTED, notice(NoticeCode.ACCEPTED_EARLIER, what=one.what))
     for text in found.told:
-        report(watch.EVENT, text)
+        report(watch.EVENT, notice(NoticeCode.FOUND, text=text))
     return bool(used or found.accepted or found.moved)

@@ -5,7 +5,7 @@ Nothing is ever sent. `machine_draft.py` makes a machine file of the findings.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.clock import Clock
@@ -17,10 +17,8 @@ from tilth.schemas.device_names import name_parts, name_words
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Bus
 from tilth.schemas.messages import PGNS
+from tilth.schemas.notices import Report
 from tilth.schemas.pgn_titles import title_of
-
-if TYPE_CHECKING:
-    from tilth.logger.can.buses import Report
 
 CLAIM: Final = 60928
 MOST_SAMPLES: Final = 12_000  # of one identifier: two minutes at 100 Hz
@@ -110,7 +108,7 @@ class _Identifier:
 
 
 def listen(
-    configs: Sequence[Bus], seconds: float, report: "Report", stop: Callable[[], bool]
+    configs: Sequence[Bus], seconds: float, report: Report, stop: Callable[[], bool]
 ) -> Iterator[Frame]:
     """Frames of these buses for so long, or until `stop()`. `report`: takes a problem with a bus.
 

@@ -30,9 +30,10 @@ from tilth.schemas.channels import (
 )
 from tilth.schemas.flow import Accepted, Estimate, Event, EventKind, Frame, Origin, Pose, Publication
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
-from tilth.schemas.readable import readable
+from tilth.schemas.sentences import event_sentence, notice_sentence
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, ADDRESSES_TOPIC})
@@ -162,7 +163,7 @@ class _Run:
         self._unknown: Counter[tuple[str, int]] = Counter()  # by bus and source
         self._left_out: list[str] = []  # of the folds before
         self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
-        self.fitter = ReplayedFits(machine, lambda kind, text: say(text))
+        self.fitter = ReplayedFits(machine, lambda kind, told: say(notice_sentence(told)))
         self._fold = GuardedFold(machine, fitter=self.fitter)
         self._before = _counts(self._fold)
         self._unknown_before = self._unknown_now()
@@ -226,7 +227,13 @@ class _Run:
     def _gap(self, log: OpenLog, gap: Gap) -> None:
         """Messages are missing: what the fold was live from here on, the next stored state tells."""
         event = Publication(
-            gap.t_ns, "/event", Event(gap.t_ns, EventKind.GAP, f"{log.path.name}: {gap.text}")
+            gap.t_ns,
+            "/event",
+            Event(
+                gap.t_ns,
+                EventKind.GAP,
+                notice(NoticeCode.MESSAGES_MISSING, file=log.path.name, why=gap.text),
+            ),
         )
         if self._outputs.comparison is not None:
             self._outputs.comparison.lose_track()
@@ -291,7 +298,7 @@ class _Run:
             if isinstance(value, Event):
                 self.summary.events.append(value)
                 if value.kind in REPORTED_KINDS:
-                    self._say(value.text)
+                    self._say(event_sentence(value))
             elif isinstance(value, Pose):
                 self._flag(value)
             if writer is not None:
@@ -309,7 +316,7 @@ class _Run:
 
     def _start_anew(self, t_ns: int) -> None:
         self._anew = False
-        self._left_out += log_time.sentences(self._fold.state.time)
+        self._left_out += map(notice_sentence, log_time.stray_senders(self._fold.state.time))
         self.fitter.forget()
         fold = GuardedFold(self._machine, fitter=self.fitter)
         self._go_on_with(fold, t_ns, fold.renew())
@@ -333,13 +340,9 @@ class _Run:
 
     def _refuse(self, log: OpenLog, stored: Snapshot, reason: str) -> None:
         """Go on without a stored state, and say so: to the person here, and among the events."""
-        text = f"its stored state is not used: {reason}; going on without it"
-        self._say(f"{log.path}: {text}")
-        event = Publication(
-            stored.t_ns,
-            "/event",
-            Event(stored.t_ns, EventKind.STORED_STATE, f"{readable(log.path.name)}: {text}"),
-        )
+        self._say(notice_sentence(notice(NoticeCode.STORED_STATE_REFUSED, file=str(log.path), why=reason)))
+        refused = notice(NoticeCode.STORED_STATE_REFUSED, file=log.path.name, why=reason)
+        event = Publication(stored.t_ns, "/event", Event(stored.t_ns, EventKind.STORED_STATE, refused))
         self._put([(event, payload(event))])
 
     def _take_addresses(self, stored: Snapshot) -> None:
@@ -377,7 +380,8 @@ class _Run:
         self._unknown.subtract(self._unknown_before)
         self._unknown_before = self._unknown_now()
         self.summary.unknown = {self._origins[key]: n for key, n in self._unknown.most_common() if n > 0}
-        self.summary.left_out = self._left_out + log_time.sentences(self._fold.state.time)
+        strays = log_time.stray_senders(self._fold.state.time)
+        self.summary.left_out = [*self._left_out, *map(notice_sentence, strays)]
         self.summary.measurements = self._counts["measurements", ""]
         self.summary.poses = self._counts["poses", ""]
         for (kind, reason), count in self._counts.items():

@@ -19,9 +19,10 @@ from tilth.schemas import flow
 from tilth.schemas.drawing import encode_drawing, encode_frames
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Reason
-from tilth.schemas.sentences import advice_sentence, combination_words, sentence
+from tilth.schemas.sentences import advice_sentence, combination_words, event_sentence, sentence
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +137,22 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
     return message.SerializeToString()
 
 
+def _notice(notice: Notice) -> pb.Notice:
+    message = pb.Notice(code=notice.code, parts=map(_notice, notice.parts))
+    for name, value in notice.values.items():
+        if isinstance(value, str):
+            message.values.add(name=name, text=value)
+        else:
+            message.values.add(name=name, number=value)
+    if notice.reason is not None:
+        message.reason.CopyFrom(_reason(notice.reason))
+    return message
+
+
 def _encode_event(event: flow.Event) -> bytes:
-    message = pb.Event(t_ns=event.t_ns, kind=event.kind, text=event.text)
+    message = pb.Event(
+        t_ns=event.t_ns, kind=event.kind, text=event_sentence(event), notice=_notice(event.notice)
+    )
     _set_present(message, event, ("latitude_deg", "longitude_deg", "utc_ns"))
     return message.SerializeToString()
 
@@ -316,7 +331,7 @@ TOLERANCES: dict[str, dict[str, float]] = {
 }  # fmt: skip
 
 WORDING: dict[str, tuple[str, ...]] = {
-    "Parameter": ("reason",), "SoilTireEstimate": ("rule", "determined", "advice"),
+    "Parameter": ("reason",), "SoilTireEstimate": ("rule", "determined", "advice"), "Event": ("text",),
 }  # fmt: skip
 """Message -> its fields that are words for people, made of codes beside them: no part of identity."""
 

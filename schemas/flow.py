@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Final
 
+from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Combination, Reason
 
 Word = float | int | str
@@ -384,18 +385,24 @@ class EventKind(StrEnum):
     BUS = "bus"
     CLOCK = "clock"  # the computer's clock was set
     CLOCK_STEP = "clock_step"  # the log's clock stepped
+    COARSE_STAMPS = "coarse_stamps"  # of the log: what came within one step cannot be told apart
     COMPILED = "compiled"
     DISAGREEMENT = "disagreement"  # of methods
     FAULT = "fault"  # of the program
     FIT = "fit"
     GAP = "gap"
     LOG = "log"
-    MARK = "mark"  # by the operator; the text is theirs
+    MACHINE_FILE = "machine_file"  # says something unusual
+    MARK = "mark"  # by the operator; the words are theirs
     MOVED = "moved"
-    OTHER_CLOCK = "other_clock"
+    OTHER_CLOCK = "other_clock"  # of a bus
+    OTHER_TIME = "other_time"  # of frames that are left out
+    POSITIONS_REPEATED = "positions_repeated"
+    POSITIONS_SLOW = "positions_slow"
     REPORT = "report"
     SOIL_CHANGE = "soil_change"
     STORED_STATE = "stored_state"
+    TWIN_NAME = "twin_name"  # two devices have it
     WARM_START = "warm_start"
     ZENOH = "zenoh"
 
@@ -406,7 +413,7 @@ class Event:
 
     t_ns: int
     kind: str  # of EventKind or FlagKind
-    text: str
+    notice: Notice  # what; schemas/sentences makes the words
     latitude_deg: float | None = None  # of the tractor's CG, where that matters
     longitude_deg: float | None = None
     utc_ns: int | None = None  # of a mark: when it was made, as far as UTC was known then

@@ -24,8 +24,9 @@ from typing import Any, NamedTuple
 
 from tilth.schemas.can_id import NULL_ADDRESS
 from tilth.schemas.fields import DEG
-from tilth.schemas.flow import Mount, Origin
+from tilth.schemas.flow import EventKind, Mount, Origin
 from tilth.schemas.machine import Receiver
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 CONTENTION_NS = 250_000_000  # a holder answers within this (SAE J1939-81, 4.2.2)
 LATELY_NS = 5_000_000_000
@@ -143,7 +144,7 @@ class AddressBook:
         }
         self._buses: dict[str, _Bus] = {}
         self._senders: dict[tuple[str, int], Sender] = {}
-        self.news: list[tuple[str, str]] = []  # kind and text of events
+        self.news: list[tuple[str, Notice]] = []  # kinds of events, and what they tell
         self.mistaken: set[Mount] = set()  # what they have sent may have been another's; until it is taken
         self.unplaced = self._unplaced()
 
@@ -231,9 +232,8 @@ class AddressBook:
         mounts = {mount for mount in known if mount is not None}
         book.known -= mounts
         self.mistaken |= mounts
-        text = f"two devices claim NAME {left.name:016X} (addresses {source} and {left.to} on {bus})"
-        advice = "it identifies neither; give them by source in the machine file"
-        self.news.append(("twin_name", f"{text}: {advice}"))
+        told = notice(NoticeCode.TWIN_NAME, name=f"{left.name:016X}", source=source, other=left.to, bus=bus)
+        self.news.append((EventKind.TWIN_NAME, told))
 
     def _outdate(self, book: _Bus, bus: str, name: int, source: int) -> None:
         """A claim wins over what is known otherwise."""

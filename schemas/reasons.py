@@ -99,6 +99,15 @@ class Code(StrEnum):
     DISAGREE = "disagree"
     """of: two methods. numbers: squared distance, parameters both have, what chance allows."""
 
+    # What an earlier run has learned, and is not used.
+    SAVED_BY_ANOTHER_VERSION = "saved_by_another_version"
+    SAVED_NOT_FINITE = "saved_not_finite"
+    SAVED_WITHOUT_COVARIANCE = "saved_without_covariance"
+    SAVED_INCOMPLETE = "saved_incomplete"
+
+    ESTIMATORS_FAILED = "estimators_failed"
+    """A fault of the program. of: the exception's kind and words."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reason:

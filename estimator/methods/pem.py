@@ -38,8 +38,8 @@ from tilth.estimator.results.reporting import (
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
 from tilth.schemas.reasons import Code, Reason
-from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import interval
 
 Array = NDArray[np.float64]
@@ -123,7 +123,7 @@ class PemState:
     last: Fit | None = None
     advisor: Advisor = field(default_factory=Advisor)
     reason: Code | None = None
-    events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
+    events: list[tuple[str, Notice]] = field(default_factory=list)  # with kinds, not taken yet
 
 
 def initial(machine: Machine) -> PemState:
@@ -292,20 +292,20 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     job, state.job, state.decided = state.job, None, OPEN
     if made is None or job is None:
         state.late += 1
-        state.events.append((EventKind.FIT, sentence(late_reason(state.late_ns, False))))
+        state.events.append((EventKind.FIT, reasoned(late_reason(state.late_ns, False))))
         return estimate(state, machine, t_ns)
     if state.late_ns:
         state.late += 1
-        state.events.append((EventKind.FIT, sentence(late_reason(state.late_ns, True))))
+        state.events.append((EventKind.FIT, reasoned(late_reason(state.late_ns, True))))
     state.last = made
     if made.refused:
         refuse(state, made.refused)
-        state.events.append((EventKind.FIT, sentence(Reason(made.refused))))
+        state.events.append((EventKind.FIT, reasoned(Reason(made.refused))))
         return estimate(state, machine, t_ns)
     if made.changed:
         state.changes += 1
         state.window_s = 0.0
-        state.events.append((EventKind.SOIL_CHANGE, _describe_change(job, made)))
+        state.events.append((EventKind.SOIL_CHANGE, _soil_changed(job, made)))
     state.model_sd, state.covariance = _learned_with(state, job, made)
     state.mean = made.mean
     state.informed_ns = job.closed_ns
@@ -328,18 +328,17 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
     return model_sd, covariance
 
 
-def _describe_change(job: Job, made: Fit) -> str:
+def _soil_changed(job: Job, made: Fit) -> Notice:
     """The factors that are known, with their intervals."""
     logs = made.mean[SIX] - job.mean[SIX]
     sds = np.sqrt(np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX])
     factors = [
-        f"{name} × {low:.2f} to {high:.2f}"
+        notice(NoticeCode.FACTOR, parameter=name, low=low, high=high)
         for name, log, sd in zip(PARAMETERS, logs.tolist(), sds.tolist(), strict=True)
         if sd < KNOWN_FACTOR_SD
         for low, high in [interval(math.exp(log), sd)]
     ]
-    which = f" ({', '.join(factors)}, 95 %)" if factors else ""
-    return f"the soil holds the tyres differently{which}: what was learned of it before is given up"
+    return notice(NoticeCode.SOIL_CHANGED, *factors)
 
 
 def clock_stepped(state: PemState, by_ns: int) -> None:

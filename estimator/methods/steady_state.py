@@ -49,6 +49,7 @@ from tilth.estimator.results.reporting import (
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
@@ -116,7 +117,7 @@ class SteadyState:
     refused: dict[Code, int] = field(default_factory=dict)  # reason -> poses
     reason: Code | None = None  # why the latest pose was refused
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
-    events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
+    events: list[tuple[str, Notice]] = field(default_factory=list)  # with kinds, not taken yet
 
 
 def initial(machine: Machine) -> SteadyState:
@@ -260,9 +261,8 @@ def _reset_stiffness(state: SteadyState) -> None:
     """The posterior no longer explains the measurements: keep the means of the soil's states, reset their
     sds."""
     if state.steady_s > 0:
-        no_longer_fits = f"outputs no longer fit what {state.steady_s:.0f} s of turning taught"
-        text = f"{no_longer_fits}: the stiffnesses are learned anew"
-        state.events.append((EventKind.SOIL_CHANGE, text))
+        anew = notice(NoticeCode.STIFFNESSES_ANEW, turning_s=state.steady_s)
+        state.events.append((EventKind.SOIL_CHANGE, anew))
     changed = [0, 1, 2, *SOIL]
     state.P[changed, :] = 0.0
     state.P[:, changed] = 0.0

@@ -53,6 +53,7 @@ from tilth.estimator.results.reporting import (
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code
 
@@ -145,7 +146,7 @@ class TrackerState:
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
     reason: Code | None = None  # why soil and tyres were not learned from the latest segment
-    events: list[tuple[str, str]] = field(default_factory=list)  # (kind, text), not taken yet
+    events: list[tuple[str, Notice]] = field(default_factory=list)  # with kinds, not taken yet
     considered: list[int] = field(default_factory=lambda: list(unknowns.MASSES))  # unknowns never learned
     needs_steering: list[int] = field(
         default_factory=lambda: list(NEED_STEERING)
@@ -392,8 +393,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.changed_ns = state.last_pose_ns
     state.window_s = state.tight_s = state.hard = 0.0
     # That something has changed is known seconds before it is known what, and by how much.
-    text = "the soil holds the tyres differently: what was learned of it before is given up"
-    state.events.append((EventKind.SOIL_CHANGE, f"{text}; by how much shows as driving tells it"))
+    state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:

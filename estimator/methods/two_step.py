@@ -19,6 +19,7 @@ from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.estimator.state_json import Shape
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
@@ -58,7 +59,7 @@ class TwoStepState:
     refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments, or windows
     reason: Code | None = None  # why nothing is collected now
     failure: Code | None = None  # why the last window gave no result
-    events: list[tuple[str, str]] = field(default_factory=list)  # none so far
+    events: list[tuple[str, Notice]] = field(default_factory=list)  # none so far
 
 
 def initial(machine: Machine) -> TwoStepState:

@@ -19,6 +19,7 @@ from tilth.estimator.pose.screen import LASTING, Screens
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.flow import (
     Attitude,
+    EventKind,
     Fix,
     Heading,
     Measurement,
@@ -31,6 +32,7 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
@@ -229,17 +231,20 @@ def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> None:
         track.elsewhere_deg = None
 
 
-def news(state: Aligner) -> list[tuple[str, str]]:
-    """(kind, text) of the events since the last call: how often receivers give positions, and buses whose
+def news(state: Aligner) -> list[tuple[str, Notice]]:
+    """(kind, notice) of the events since the last call: how often receivers give positions, and buses whose
     clocks are apart."""
     out = _clocks_apart(state)
     for mount, track in state.tracks.items():
-        out += [(kind, f"{mount} {text}") for kind, text in track.rate.news]
+        out += [
+            (kind, notice(NoticeCode(kind), of=mount, times=times, per_s=per_s))
+            for kind, times, per_s in track.rate.news
+        ]
         track.rate.news.clear()
     return out
 
 
-def _clocks_apart(state: Aligner) -> list[tuple[str, str]]:
+def _clocks_apart(state: Aligner) -> list[tuple[str, Notice]]:
     """An event, once, if by the UTC that receivers tell two buses are not on one clock: in a log that was
     sorted by its stamps nothing else shows it."""
     offsets: dict[str, int] = {}  # bus -> its clock less UTC
@@ -256,10 +261,8 @@ def _clocks_apart(state: Aligner) -> list[tuple[str, str]]:
         return []
     state.clocks_told = True
     ahead, behind = (one, other) if ns > other_ns else (other, one)
-    text = f"by the UTC of the receivers the clock of {ahead} is {apart_ns * 1e-9:.1f} s ahead of"
-    return [
-        ("other_clock", f"{text} that of {behind}: what they say does not belong together; use one clock")
-    ]
+    apart = notice(NoticeCode.BUSES_APART, ahead=ahead, behind=behind, apart_s=apart_ns * 1e-9)
+    return [(EventKind.OTHER_CLOCK, apart)]
 
 
 def due(state: Aligner, now_ns: int) -> int | None:

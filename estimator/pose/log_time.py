@@ -12,7 +12,8 @@ that of arrival, nothing here can tell.
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import EventKind, Frame
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 OUT_OF_ORDER_NS: Final = 500_000_000  # stamps that differ by less than this are only out of order
 SILENCE_NS: Final = 10_000_000_000  # no frame for so long: nothing continues across
@@ -98,7 +99,7 @@ class LogTime:
     offset_ns: dict[str, int] = field(default_factory=dict)  # bus of another clock -> what its stamps lack
     strays: dict[str, Strays] = field(default_factory=dict)  # by sender
     told: dict[str, int] = field(default_factory=dict)  # sender -> how many strays are worth the next event
-    news: list[tuple[str, str]] = field(default_factory=list)  # kind and text of events
+    news: list[tuple[str, Notice]] = field(default_factory=list)  # kinds of events, and what they tell
     misled: bool = False  # the last jump corrects a beginning of which the stamps were wrong
 
 
@@ -143,30 +144,19 @@ def continues(time: LogTime, frame: Frame) -> bool:
     return not _side(time, on_log_clock(time, frame))
 
 
-def sentences(time: LogTime) -> list[str]:
-    """Who sent the stray frames of this log, in words."""
-    return [in_words(sender, strays) for sender, strays in _all_strays(time).items()]
+def stray_senders(time: LogTime) -> list[Notice]:
+    """Who sent the stray frames of this log."""
+    return [stray_notice(sender, strays) for sender, strays in _all_strays(time).items()]
 
 
-def in_words(sender: str, strays: Strays) -> str:
+def stray_notice(sender: str, strays: Strays) -> Notice:
     """What is known of one sender's stray frames."""
-    number = "1 frame" if strays.frames == 1 else f"{strays.frames} frames"
-    verb = "is" if strays.frames == 1 else "are"
-    return f"{number} of {sender} {verb} stamped {_ahead(strays)} the rest: left out"
-
-
-def _ahead(strays: Strays) -> str:
-    if strays.most_ns < 0:
-        return f"{_between(-strays.most_ns, -strays.least_ns)} behind"
-    if strays.least_ns > 0:
-        return f"{_between(strays.least_ns, strays.most_ns)} ahead of"
-    return f"up to {_between(0, -strays.least_ns)} behind and {_between(0, strays.most_ns)} ahead of"
-
-
-def _between(least_ns: int, most_ns: int) -> str:
-    unit_ns, unit = (DAY_NS, "days") if most_ns >= 2 * DAY_NS else (1_000_000_000, "s")
-    least, most = f"{least_ns / unit_ns:.1f}", f"{most_ns / unit_ns:.1f}"
-    return f"{most} {unit}" if least == most or not least_ns else f"{least} to {most} {unit}"
+    bus, _, who = sender.rpartition(" ")
+    of: dict[str, float | str] = {"identifier": who} if who.startswith("0x") else {"source": int(who)}
+    return notice(
+        NoticeCode.STRAY_FRAMES, **of, bus=bus, frames=strays.frames,
+        least_s=strays.least_ns * 1e-9, most_s=strays.most_ns * 1e-9,
+    )  # fmt: skip
 
 
 def _side(time: LogTime, frame: Frame) -> int:
@@ -227,20 +217,16 @@ def _support(time: LogTime, frame: Frame) -> None:
     time.in_time += 1
     if time.in_time % COARSE_AFTER == 0 and time.step_ns >= COARSE_NS and not time.coarse:
         time.coarse = True
-        steps = (
-            "whole seconds" if time.step_ns % 1_000_000_000 == 0 else f"steps of {time.step_ns * 1e-9:g} s"
-        )
-        text = f"the stamps of the log are {steps}: what came within one cannot be told apart in time"
-        time.news.append(("coarse_stamps", f"{text}; record with finer ones"))
+        coarse = notice(NoticeCode.COARSE_STAMPS, step_s=time.step_ns / 1e9)
+        time.news.append((EventKind.COARSE_STAMPS, coarse))
     if time.in_time == ESTABLISHED:
         time.begun = True
         time.first.clear()
 
 
 def _sender(frame: Frame) -> str:
-    if frame.extended:
-        return f"source {frame.can_id & 0xFF} on {frame.bus}"
-    return f"identifier 0x{frame.can_id:X} on {frame.bus}"
+    """Bus and J1939 source address, or a hexadecimal identifier of 11 bits."""
+    return f"{frame.bus} {frame.can_id & 0xFF}" if frame.extended else f"{frame.bus} 0x{frame.can_id:X}"
 
 
 def _off_time_frame(time: LogTime, frame: Frame, side: int) -> int | None:
@@ -350,9 +336,8 @@ def _align(time: LogTime, off_time: OffTimeFrames, frame: Frame, ahead_ns: int, 
 
 
 def _tell_aligned(time: LogTime, bus: str, offset_ns: int) -> None:
-    side = "behind" if offset_ns > 0 else "ahead of"
-    text = f"the clock of {bus} is {_between(0, abs(offset_ns))} {side} that of the other buses"
-    time.news.append(("other_clock", f"{text}: it is aligned by the order of the frames in the log"))
+    apart = notice(NoticeCode.BUS_CLOCK_APART, bus=bus, behind_s=offset_ns * 1e-9)
+    time.news.append((EventKind.OTHER_CLOCK, apart))
 
 
 def _follow(time: LogTime, frame: Frame) -> None:
@@ -442,4 +427,4 @@ def _tell(time: LogTime, sender: str) -> None:
     strays = time.strays[sender]
     if strays.frames >= time.told.get(sender, 1):
         time.told[sender] = 10 * strays.frames
-        time.news.append(("other_time", in_words(sender, strays)))
+        time.news.append((EventKind.OTHER_TIME, stray_notice(sender, strays)))

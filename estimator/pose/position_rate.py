@@ -6,12 +6,12 @@ It is looked at while the receiver moves: at standstill a position may well be t
 from dataclasses import dataclass, field
 from typing import Final
 
+from tilth.schemas.flow import EventKind
+
 LOOKED_AT: Final = 40  # positions before anything is said
 LEAST_PER_S: Final = 2.0  # new positions: with fewer, what happens between them is guessed
 REPEATED_SHARE: Final = 0.3  # of the positions
 SILENCE_NS: Final = 5_000_000_000  # positions that are so far apart say nothing of the rate
-REPEATED: Final = "positions_repeated"
-SLOW: Final = "positions_slow"
 
 
 @dataclass(slots=True)
@@ -23,7 +23,8 @@ class PositionRate:
     positions: int = 0
     repeats: int = 0  # of them
     told: list[str] = field(default_factory=list)  # kinds that have been reported
-    news: list[tuple[str, str]] = field(default_factory=list)  # kind and text of an event, without who
+    news: list[tuple[str, float, float]] = field(default_factory=list)
+    """Kind of an event; how often each position is sent; new ones per second."""
 
 
 def observe(state: PositionRate, rx_ns: int, repeat: bool) -> None:
@@ -44,16 +45,12 @@ def _judge(state: PositionRate) -> None:
     new = state.positions - state.repeats
     per_s = new / (state.passed_ns * 1e-9) if state.passed_ns else 0.0
     if new and state.repeats > REPEATED_SHARE * state.positions:
-        _tell(
-            state, REPEATED,
-            f"sends each position {state.positions / new:.0f} times: {per_s:.1f} a second are new, the "
-            "others are left out; set its output rate to that of its positions",
-        )  # fmt: skip
+        _tell(state, EventKind.POSITIONS_REPEATED, state.positions / new, per_s)
     elif new and state.passed_ns and per_s < LEAST_PER_S:
-        _tell(state, SLOW, f"gives only {per_s:.1f} positions a second; set it to 5 or more")
+        _tell(state, EventKind.POSITIONS_SLOW, 1.0, per_s)
 
 
-def _tell(state: PositionRate, kind: str, text: str) -> None:
+def _tell(state: PositionRate, kind: EventKind, times: float, per_s: float) -> None:
     if kind not in state.told:
         state.told.append(kind)
-        state.news.append((kind, text))
+        state.news.append((kind, times, per_s))

@@ -26,6 +26,7 @@ from tilth.estimator.pose.receiver_track import sample_at
 from tilth.schemas.flow import EventKind, Mount, Position
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 TRAVEL: Final = 5.0  # m, before which nothing is decided
 HOPELESS: Final = 60.0  # m, after which it is said that nothing fits, or that it cannot be told
@@ -132,26 +133,26 @@ def take(state: Recognition, position: Position) -> None:
 
 def search(
     state: Recognition, aligner: Aligner, unplaced: frozenset[Mount], now_ns: int
-) -> tuple[list[KnownAddress], str]:
-    """Who the candidates are, and a sentence on it; ([], "") while it is not known.
+) -> tuple[list[KnownAddress], Notice | None]:
+    """Who the candidates are, and what is told of it; ([], None) while it is not known.
 
-    A sentence alone says that it cannot be found out.
+    A notice alone says that it cannot be found out.
     """
     if not state.next_ns <= now_ns <= state.next_ns + 2 * LAG_NS:
         state.next_ns = now_ns
     if now_ns < state.next_ns + LAG_NS:
-        return [], ""
+        return [], None
     t_ns, state.next_ns = state.next_ns, state.next_ns + STEP_NS
     found = [(one, at) for one in state.heard if (at := _at(one, t_ns)) is not None]
     fixed = {one.mount: at for one, at in found if one.mount is not None}
     points = {(one.bus, one.source): at for one, at in found if one.mount is None}
     candidates, mounts = sorted(points)[:MOST_CANDIDATES], [m for m in Mount if m in unplaced]
     if not candidates or not mounts:
-        return [], ""
+        return [], None
     if (state.candidates, state.mounts) != (candidates, mounts):
         _begin(state, aligner.machine, candidates, mounts)
     if not _moved_on(state, [points[place] for place in candidates], t_ns):
-        return [], ""
+        return [], None
     _compare(state, aligner, [points[place] for place in candidates], fixed, t_ns)
     return _decide(state, aligner.machine)
 
@@ -287,9 +288,9 @@ def _heading(at: Mapping[Mount, Vector], levers: Mapping[Mount, Vector]) -> floa
     return math.atan2(tractor[1] - implement[1], tractor[0] - implement[0])
 
 
-def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], str]:
+def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], Notice | None]:
     if state.travel < TRAVEL or not state.assignments:
-        return [], ""
+        return [], None
     scores = sorted(
         ((one.likelihood + _forwards(one), index) for index, one in enumerate(state.assignments)),
         reverse=True,
@@ -300,15 +301,10 @@ def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], s
     if fits and (len(scores) == 1 or scores[0][0] - scores[1][0] > CLEAR):
         return _found(state, machine, best)
     if state.travel < HOPELESS or state.hopeless:
-        return [], ""
+        return [], None
     state.hopeless = True
-    places = ", ".join(f"{source} on {bus}" for bus, source in state.candidates)
-    why = "more than one assignment fits the rig" if fits else "none of their assignments fits the rig"
-    advice = "give them by source in the machine file, or switch them off and on"
-    return (
-        [],
-        f"no address claim tells who they are, nor do positions from addresses {places}: {why}; {advice}",
-    )
+    places = (notice(NoticeCode.ADDRESS, bus=bus, source=source) for bus, source in state.candidates)
+    return [], notice(NoticeCode.SEVERAL_FIT if fits else NoticeCode.NONE_FITS, *places)
 
 
 def _forwards(one: Assignment) -> float:
@@ -316,7 +312,7 @@ def _forwards(one: Assignment) -> float:
     return max(-MOST_FORWARD, min(FORWARD * one.forward, MOST_FORWARD))
 
 
-def _found(state: Recognition, machine: Machine, best: Assignment) -> tuple[list[KnownAddress], str]:
+def _found(state: Recognition, machine: Machine, best: Assignment) -> tuple[list[KnownAddress], Notice]:
     names = {receiver.mount: receiver.name for receiver in machine.receiver}
     rows = [
         KnownAddress(*state.candidates[i], names[m], m)
@@ -325,13 +321,13 @@ def _found(state: Recognition, machine: Machine, best: Assignment) -> tuple[list
     ]
     expected = _before(state, machine)
     slots = dict(zip(state.mounts, best.slots, strict=True))
-    where = ", ".join(f"{row.mount} at address {row.source}" for row in rows)
-    way = f"over {state.travel:.1f} m of travel"
-    if not expected:
-        return (
-            rows,
-            f"no address claim tells who is who: receivers are recognised by where they are {way}: {where}",
-        )
-    if all(slots.get(mount) == index for mount, index in expected.items()):
-        return rows, f"receivers have the addresses that they had before, as positions {way} confirm: {where}"
-    return rows, f"receivers have other addresses than before, as positions {way} show: {where}"
+    code = NoticeCode.RECOGNISED
+    if expected:
+        as_before = all(slots.get(mount) == index for mount, index in expected.items())
+        code = NoticeCode.ADDRESSES_CONFIRMED if as_before else NoticeCode.ADDRESSES_CHANGED
+    return rows, notice(code, *map(receiver_at, rows), travel=state.travel)
+
+
+def receiver_at(known: KnownAddress) -> Notice:
+    """Where a receiver of the machine file is, as part of a notice."""
+    return notice(NoticeCode.RECEIVER_AT, mount=str(known.mount), source=known.source)

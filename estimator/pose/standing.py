@@ -10,10 +10,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, WHEEL, WHEEL_NAME, Aligner
+from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, Aligner
 from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.screen import SensorScreen
 from tilth.schemas.flow import Flag, FlagKind, Pose
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 STANDS: Final = FlagKind.STANDS_STILL
 MOST_POSES: Final = 50  # 10 s, that are compared
@@ -26,10 +27,6 @@ SMOOTHING: Final = 3  # poses, in a mean of the path's angle
 LEAST_TURN: Final = 0.1  # rad, between a heading and another measure of it
 LEAST_CHANGE: Final = 0.3  # m/s, of the rig's speed
 LEAST_LEAN: Final = 0.8  # m/s^2 of lateral acceleration: every body leans by a tenth of a degree and more
-
-_WORDS: Final = {
-    "velocity": "velocity", "yaw_rate": "turn rate", "heading": "heading", "roll": "roll",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +50,8 @@ class StandingCheck:
     reported: list[str] = field(default_factory=list)  # names of the screens that are told to stand still
 
 
-def observe(state: StandingCheck, aligner: Aligner, pose: Pose) -> list[tuple[str, str]]:
-    """Take one pose. Returns (kind, text) of what begins to stand still, or is over."""
+def observe(state: StandingCheck, aligner: Aligner, pose: Pose) -> list[tuple[str, Notice]]:
+    """Take one pose. Returns (kind, notice) of what begins to stand still, or is over."""
     _add(state, aligner, pose)
     for name, screen in aligner.screens.by.items():
         if not screen.failed and screen.run > 1 and _contradicts(state.poses, name, screen):
@@ -64,8 +61,8 @@ def observe(state: StandingCheck, aligner: Aligner, pose: Pose) -> list[tuple[st
     over = [name for name in state.reported if name not in failed]
     state.reported = failed
     return [
-        *((str(STANDS), describe(aligner, name, pose.t_ns)) for name in begun),
-        *((str(STANDS), f"{_subject(name)} moves again") for name in over),
+        *((STANDS, stands_still(aligner, name, pose.t_ns)) for name in begun),
+        *((STANDS, notice(NoticeCode.MOVES_AGAIN, **_subject(name))) for name in over),
     ]
 
 
@@ -74,20 +71,16 @@ def flags(state: StandingCheck) -> list[Flag]:
     return sorted({Flag(STANDS, name.partition(" ")[0]) for name in state.reported})
 
 
-def describe(aligner: Aligner, name: str, t_ns: int) -> str:
-    """What stands still, since when, what follows from it, and what to do."""
-    seconds = (t_ns - aligner.screens.by[name].run_ns) * 1e-9
-    text = f"{_subject(name)} stands still: the same reading for {seconds:.1f} s while the rig moved"
-    if name == WHEEL_NAME:
-        return f"{text}. No number is given until it moves again: look at sensor, linkage, plug and cable"
-    return f"{text}. It is not used until it moves again: start the sender anew, look at its cable"
+def stands_still(aligner: Aligner, name: str, t_ns: int) -> Notice:
+    """What stands still, and for how long."""
+    still_s = (t_ns - aligner.screens.by[name].run_ns) * 1e-9
+    return notice(NoticeCode.STANDS_STILL, **_subject(name), still_s=still_s)
 
 
-def _subject(name: str) -> str:
+def _subject(name: str) -> dict[str, str]:
+    """Whose quantity the name of a screen is."""
     who, _, quantity = name.partition(" ")
-    if who == WHEEL:
-        return "the wheel-angle sensor" if quantity == WHEEL else "the wheels' speed"
-    return f"{who}: its {_WORDS[quantity]}"
+    return {"of": who, "quantity": quantity}
 
 
 def _add(state: StandingCheck, aligner: Aligner, pose: Pose) -> None:

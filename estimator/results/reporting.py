@@ -12,6 +12,7 @@ from tilth.estimator.results import advice
 from tilth.estimator.results.advice import SUPPORTED
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Code, Reason
 
 Array = NDArray[np.float64]
@@ -40,11 +41,11 @@ class Learning(Protocol):
 class Reporting(Protocol):
     """State of a method that reports events."""
 
-    events: list[tuple[str, str]]  # (kind, text), not taken yet
+    events: list[tuple[str, Notice]]  # with their kinds, not taken yet
 
 
-def take_events(state: Reporting) -> list[tuple[str, str]]:
-    """(kind, text) of a method's events since the last call."""
+def take_events(state: Reporting) -> list[tuple[str, Notice]]:
+    """(kind, notice) of a method's events since the last call."""
     events, state.events = state.events, []
     return events
 

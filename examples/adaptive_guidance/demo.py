@@ -16,7 +16,6 @@ import select
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -44,10 +43,12 @@ from tilth.estimator.models.parameters import rig_of
 from tilth.logger import compiling
 from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display
+from tilth.logger.outlets import Events
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import in_words
 from tilth.simulator.demo import DemoError, on_loopback
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import as_json
@@ -105,7 +106,7 @@ def run_guidance(
         controller = _Process("tilth.adaptive_guidance", *_controller_arguments(machine, endpoint, work))
         ends.callback(controller.close)
         _first_fact(controller, stop, "the controller")
-        events = deque[tuple[str, str]]()  # the daemon tells them: in its log, on the page, in the terminal
+        events = Events()  # the daemon tells them: in its log, on the page, in the terminal
         watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, events)
         summary = run_daemon(
             machine, text, log_folder=log_folder, simulated="tilth demo --guidance", status=display,
@@ -225,7 +226,7 @@ class _Watching:
     line: Plan
     middle: float
     fixed: DrivenPath
-    events: deque[tuple[str, str]]  # kind, text
+    events: Events
     end: dict[str, Any] = field(default_factory=dict)  # the tractor's last words
     _rows: list[tuple[float, float, int, bool]] = field(default_factory=list)
     _along: Along = field(init=False)
@@ -282,7 +283,7 @@ class _Watching:
                 self._event(f"the controller {why}")
 
     def _event(self, text: str) -> None:
-        self.events.append(("guidance", text))
+        self.events.append(("guidance", in_words(text)))
 
 
 def table(guided: Guided) -> Table:

@@ -7,7 +7,7 @@ python-can's Notifier: its thread ends at the first error.
 import logging
 import selectors
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from tilth.logger.can.bus_opening import check_interface, open_port, why_not
 from tilth.logger.can.live_bus import BusState, LiveBus
@@ -16,6 +16,7 @@ from tilth.logger.can.port_threads import Opener, PortThreads
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import EventKind, Frame
 from tilth.schemas.machine import Bus
+from tilth.schemas.notices import NoticeCode, Report, Value, notice
 
 BATCH = 32  # frames taken from one bus before the others have their turn
 # After frames that were stamped on arrival others are let come: a wake-up costs as much as three of them.
@@ -31,8 +32,6 @@ EMPTY_READS = 200  # readable, but nothing to read: the far side is gone
 SLOW = "opening it does not end; the far side or the driver hangs: restart it"
 LOST = {"mavlink": "messages of the autopilot lost on the way; give its link more bit rate, or less to do"}
 LEAVE_S = 2.0  # how long the end of a run waits for buses that are just being opened or closed
-
-Report = Callable[[str, str], None]  # kind and text of an event
 
 
 class Buses:
@@ -139,13 +138,15 @@ class Buses:
         outages, traffic = bus.outages, bus.traffic
         if outages.down_ns and bus.connection.port is not None:
             down_s = (t_ns - outages.down_ns) * 1e-9
-            counts = f"(failure {outages.failures}, opening {bus.connection.opened})"
-            self._event(bus, f"works again after {down_s:.1f} s {counts}")
+            self._event(
+                bus, NoticeCode.BUS_BACK, down_s=down_s, failure=outages.failures,
+                opening=bus.connection.opened,
+            )  # fmt: skip
             outages.down_ns = 0
             outages.end_failure()
         elif bus.state is BusState.SILENT:
-            silent_s = (t_ns - traffic.last_ns) * 1e-9
-            self._event(bus, f"heard again after {silent_s:.1f} s (silence {outages.silences})")
+            silence_s = (t_ns - traffic.last_ns) * 1e-9
+            self._event(bus, NoticeCode.BUS_HEARD, silence_s=silence_s, silence=outages.silences)
         if bus.state is BusState.SILENT:
             bus.is_now(BusState.OPEN)
         traffic.last_ns = t_ns
@@ -161,14 +162,14 @@ class Buses:
             bus.outages.forget_reported()
         if traffic.stamp != port.stamp:
             traffic.stamp = port.stamp
-            self._event(bus, f"its frames are stamped by {STAMPED[port.stamp]}")
+            self._event(bus, NoticeCode.BUS_STAMPED, by=STAMPED[port.stamp])
 
     def _notice_unusable(self, bus: LiveBus) -> None:
         if bus.connection.port is None or bus.traffic.last_ns - bus.traffic.usable_ns < SILENT_NS:
             return
         bus.reason = bus.unusable
         if bus.outages.is_news(bus.reason):
-            self._event(bus, bus.reason)
+            self._event(bus, NoticeCode.BUS_TROUBLE, why=bus.reason)
 
     def _look_at(self, bus: LiveBus, port: Port, t_ns: int, poll_ports: bool) -> None:
         try:
@@ -180,9 +181,9 @@ class Buses:
             return
         for note in (port.note, port.problem):
             if note and bus.outages.is_first(note):
-                self._event(bus, note)
+                self._event(bus, NoticeCode.BUS_TROUBLE, why=note)
         for text in bus.tally.health.news(t_ns, bus.traffic.data_has_come(bus.tally.error_frames)):
-            self._event(bus, text)
+            self._event(bus, NoticeCode.BUS_TROUBLE, why=text)
         # No frame tells that it works where nobody sends.
         if bus.outages.failing and t_ns - bus.connection.opened_ns >= WORKED_NS:
             bus.outages.end_failure()
@@ -195,8 +196,10 @@ class Buses:
         if bus.state is not BusState.SILENT:
             bus.is_now(BusState.SILENT, "no frame; check that its devices are on, the bit rate, the plug")
             bus.outages.silences += 1
-            seconds = f"{silent_ns * 1e-9:.1f} s (silence {bus.outages.silences})"
-            self._event(bus, f"silent, no frame for {seconds}, {bus.traffic.frames} until then")
+            self._event(
+                bus, NoticeCode.BUS_SILENT, silence_s=silent_ns * 1e-9, silence=bus.outages.silences,
+                frames=bus.traffic.frames,
+            )  # fmt: skip
         if bus.connection.wants_renewing(silent_ns):
             self._threads.open(bus, self._release(bus))
 
@@ -208,7 +211,7 @@ class Buses:
         elif taken_ns >= SLOW_NS and bus.outages.is_news(SLOW):
             bus.is_now(BusState.FAILED, SLOW)
             bus.outages.begin_failure(self._clock.t_ns())
-            self._event(bus, SLOW)
+            self._event(bus, NoticeCode.BUS_TROUBLE, why=SLOW)
 
     def _fail(self, bus: LiveBus, reason: str) -> None:
         """Close and try later. One event for each failure and reason, however soon it is over."""
@@ -218,11 +221,13 @@ class Buses:
         bus.connection.back_off.failed(t_ns)
         bus.outages.begin_failure(t_ns)
         if bus.outages.is_news(reason):
-            so_far = f"(failure {bus.outages.failures}, {bus.traffic.frames} frames until then)"
-            self._event(bus, f"{reason}; it is tried again {so_far}")
+            self._event(
+                bus, NoticeCode.BUS_FAILED, why=reason, failure=bus.outages.failures,
+                frames=bus.traffic.frames,
+            )  # fmt: skip
 
-    def _event(self, bus: LiveBus, text: str) -> None:
-        self._report(EventKind.BUS, f"{bus.name}: {text}")
+    def _event(self, bus: LiveBus, code: NoticeCode, **values: Value) -> None:
+        self._report(EventKind.BUS, notice(code, bus=bus.name, **values))
 
     def _release(self, bus: LiveBus) -> Port | None:
         """Take the port from the loop, to be closed elsewhere."""
@@ -243,8 +248,8 @@ class Buses:
 
     def _adopt(self) -> None:
         """Take up what the threads have done."""
-        for complaint in self._threads.complaints():
-            self._report(EventKind.BUS, complaint)
+        for bus, why in self._threads.not_closed():
+            self._event(bus, NoticeCode.BUS_TROUBLE, why=f"closing it failed: {why}")
         for bus, attempt, result in self._threads.opened():
             if attempt != bus.connection.attempt:  # given up meanwhile
                 if not isinstance(result, BaseException):
@@ -280,4 +285,4 @@ class Buses:
         new = bus.traffic.count_lost(port)
         if new:
             what = LOST.get(bus.config.interface, "frames lost in the kernel, the computer was busy")
-            self._event(bus, f"{new} {what} ({bus.traffic.lost} in all)")
+            self._event(bus, NoticeCode.BUS_LOST_FRAMES, frames=new, what=what, in_all=bus.traffic.lost)

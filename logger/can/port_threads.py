@@ -31,7 +31,7 @@ class PortThreads:
         self._opener = opener
         self._clock = clock
         self._opened: SimpleQueue[Opened] = SimpleQueue()
-        self._complaints: SimpleQueue[str] = SimpleQueue()
+        self._not_closed: SimpleQueue[tuple[LiveBus, str]] = SimpleQueue()
 
     def open(self, bus: LiveBus, old: Port | None = None) -> None:
         """Begin to open it; old: to be closed before."""
@@ -46,10 +46,10 @@ class PortThreads:
         while not self._opened.empty():
             yield self._opened.get()
 
-    def complaints(self) -> Iterator[str]:
-        """What went wrong with closing since the last call, in words."""
-        while not self._complaints.empty():
-            yield self._complaints.get()
+    def not_closed(self) -> Iterator[tuple[LiveBus, str]]:
+        """Whose closing has failed since the last call, and why."""
+        while not self._not_closed.empty():
+            yield self._not_closed.get()
 
     def _start(self, bus: LiveBus, job: Callable[[], None]) -> None:
         thread = threading.Thread(target=job, name="tilth-bus", daemon=True)
@@ -70,4 +70,4 @@ class PortThreads:
         try:
             port.close()
         except Exception as error:  # a driver whose device is gone
-            self._complaints.put(f"{bus.name}: closing it failed: {why_not(error, bus.config)}")
+            self._not_closed.put((bus, why_not(error, bus.config)))

@@ -17,11 +17,13 @@ from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.checks.devices import Devices
 from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import YEARS, Clock
-from tilth.logger.log.lock import UNLOCKED, lock
+from tilth.logger.log.lock import lock
 from tilth.logger.status import LOW_HOURS, recording_hours
 from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.plausible import unusual
+from tilth.schemas.sentences import notice_sentence
 
 TURN_S = 0.05
 OPEN_S = 15.0  # some adapters take two seconds, a server that does not answer ten
@@ -53,8 +55,8 @@ def _configuration(machine: Machine) -> Iterator[CheckFinding]:
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFinding]:
-    events: list[str] = []  # not used: the findings come from the state of the buses
-    buses = Buses(machine.bus, clock, lambda kind, text: events.append(text))
+    # The findings come from the state of the buses, not from what has happened to them.
+    buses = Buses(machine.bus, clock, lambda kind, told: None)
     devices = Devices(machine)
     began_ns = opened_ns = clock.t_ns()
     try:
@@ -109,7 +111,8 @@ def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
         return
     yield CheckFinding("log folder", Level.OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")
     if not locked:
-        yield CheckFinding("log folder", Level.NOTE, f"{folder}: {UNLOCKED}")
+        unlocked = notice(NoticeCode.UNLOCKED, folder=str(folder))
+        yield CheckFinding("log folder", Level.NOTE, notice_sentence(unlocked))
     free = shutil.disk_usage(place).free
     hours = recording_hours(max(0.0, free - keep_free))
     text = f"{free / 1e9:.1f} GB free, about {hours:.0f} hours of recording"

@@ -13,6 +13,7 @@ from tilth.schemas.flow import Frame, Mount, Position, WheelAngle
 from tilth.schemas.identity import split_name
 from tilth.schemas.machine import Bus, Machine, Receiver
 from tilth.schemas.messages import PGNS
+from tilth.schemas.sentences import notice_sentence
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
 
 MOST_CANDIDATES: Final = 3  # candidates
@@ -97,8 +98,8 @@ class Devices:
         for receiver in self._machine.receiver:
             yield self._receiver(receiver)
         yield self._wheel()
-        for _, text in self._measurement_decoder.addresses.news:
-            yield CheckFinding("device names", Level.PROBLEM, text)
+        for _, told in self._measurement_decoder.addresses.news:
+            yield CheckFinding("device names", Level.PROBLEM, notice_sentence(told))
         silent = sorted({bus.name for bus in self._machine.bus if self._unclaimed(bus)})
         if silent:
             hint = (

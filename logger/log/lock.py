@@ -12,10 +12,6 @@ from typing import BinaryIO, Final
 
 from tilth.logger.clock import Clock
 
-UNLOCKED: Final = (
-    "this file system has no locks; it is recorded all the same, but no other program can be sure that a "
-    "file is being written: do not use `tilth recover` there meanwhile"
-)
 LATELY_NS: Final = 60_000_000_000  # a recorder writes a status each second, unless its disk stalls
 _LOOKS: Final = 25
 _BETWEEN_S: Final = 0.1

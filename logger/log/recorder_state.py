@@ -1,9 +1,11 @@
 """The states of the recorder, and the one place where one follows another."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import Enum, auto
 
 from tilth.schemas.flow import EventKind
+from tilth.schemas.notices import NoticeCode, Report, notice
+from tilth.schemas.sentences import notice_sentence
 
 
 class RecorderState(Enum):
@@ -57,8 +59,7 @@ FAILING = (_S.TRYING, _S.STOPPED, _S.RESTING_UNSURE)
 class RecorderStates:
     """The recorder's state, and what a person should know of it."""
 
-    def __init__(self, report: Callable[[str, str], None]) -> None:
-        """report: takes kind and text of an event."""
+    def __init__(self, report: Report) -> None:
         self.state = RecorderState.RECORDING
         self.problem = ""  # in words; "" where all is well
         self._report = report
@@ -89,6 +90,7 @@ class RecorderStates:
         """FILE_FAILED or EARLIER_FAILED. An event says so, one for all tries until one of them succeeds."""
         known = self.state in FAILING
         self.after(happening)
-        self.problem = f"not recording: {why}"
+        stopped = notice(NoticeCode.NOT_RECORDING, why=why)
+        self.problem = notice_sentence(stopped)
         if not known:
-            self._report(EventKind.LOG, self.problem)
+            self._report(EventKind.LOG, stopped)

@@ -36,6 +36,7 @@ from tilth.logger.log.mcap_index import IndexedCopy
 from tilth.logger.log.mcap_records import TILTH, McapRecords
 from tilth.schemas.flow import EventKind
 from tilth.schemas.invocation import command
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 COPY: Final = ".recovering"  # behind a file's name: of the copy that is to take its place
 _BLOCK: Final = 1 << 20
@@ -138,11 +139,9 @@ def unfinished(folder: Path) -> list[Path]:
     return found
 
 
-def finish_all(
-    folder: Path, report: Callable[[str, str], None], ours: Callable[[], Sequence[Path]] = tuple
-) -> None:
-    """Finish what earlier runs could not. report: takes kind and text of an event for each file. ours: what
-    this program writes itself."""
+def finish_all(folder: Path, report: Report, ours: Callable[[], Sequence[Path]] = tuple) -> None:
+    """Finish what earlier runs could not, and report it of each file. ours: what this program writes
+    itself."""
     for copy in folder.glob(f"*{COPY}"):  # of a file that was finished or removed meanwhile
         if not copy.with_suffix("").exists():
             copy.unlink(missing_ok=True)
@@ -154,9 +153,9 @@ def finish_all(
         except FileNotFoundError:  # deleted meanwhile to make room
             continue
         except Exception as error:  # whatever lies there, those after it are finished
-            report(EventKind.LOG, f"{path.name} was left unfinished and stays so: {error}")
+            report(EventKind.LOG, notice(NoticeCode.UNFINISHED, file=path.name, why=str(error)))
         else:
-            report(EventKind.LOG, f"{path.name} was left unfinished; finished now: {done.messages} messages")
+            report(EventKind.LOG, notice(NoticeCode.FINISHED, file=path.name, messages=done.messages))
 
 
 def is_ours(file: BinaryIO, size: int) -> bool:

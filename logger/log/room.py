@@ -1,12 +1,12 @@
 """Makes room on a disk that fills: deletes the oldest reports, then the oldest run that nobody wants."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from tilth.logger.log.derived import reports_in
 from tilth.logger.log.runs import delete, may_go, stored_runs
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Log
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 LEAST_BYTES = 16e6  # above what is left alone: less is not worth a file
 AGAIN_NS = 5_000_000_000  # not so soon after one run was deleted another one
@@ -15,7 +15,7 @@ AGAIN_NS = 5_000_000_000  # not so soon after one run was deleted another one
 class Room:
     """What may be written on the disk, by [log] of the machine file."""
 
-    def __init__(self, folder: Path, log: Log, report: Callable[[str, str], None]) -> None:
+    def __init__(self, folder: Path, log: Log, report: Report) -> None:
         self._folder = folder
         self._log = log
         self._report = report
@@ -54,5 +54,5 @@ class Room:
         for run in stored_runs(self._folder):
             if run.name != current and may_go(run, utc_ns, self._log.expire_days):
                 size = delete(run)
-                self._report(EventKind.LOG, f"{run.name} was deleted to make room: {size / 1e6:.0f} MB")
+                self._report(EventKind.LOG, notice(NoticeCode.DELETED, run=run.name, megabytes=size / 1e6))
                 return

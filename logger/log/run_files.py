@@ -5,7 +5,6 @@ receivers: the files are given their right name then.
 """
 
 import uuid
-from collections.abc import Callable
 from pathlib import Path
 
 from tilth.logger.clock import WRONG_NS, Clock
@@ -13,8 +12,7 @@ from tilth.logger.log.disk import Disk, Spool
 from tilth.logger.log.mcap_log import RunPart
 from tilth.logger.log.runs import file_name, unused_name
 from tilth.schemas.flow import EventKind
-
-Report = Callable[[str, str], None]  # kind and text of an event
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 
 class RunFiles:
@@ -71,12 +69,6 @@ class RunFiles:
         if abs(correction_ns - self._correction_ns) <= WRONG_NS:
             return False
         self._correction_ns = correction_ns
-        report(EventKind.CLOCK, f"the computer's clock is {_span(correction_ns)} than UTC; the log says so")
+        report(EventKind.CLOCK, notice(NoticeCode.CLOCK_WRONG, ahead_s=correction_ns * 1e-9))
         self.choose_name()
         return True
-
-
-def _span(ahead_ns: int) -> str:
-    days = abs(ahead_ns) / 86400e9
-    size = f"{days:.1f} days" if days > 1 else f"{abs(ahead_ns) * 1e-9:.0f} s"
-    return f"{size} {'less' if ahead_ns > 0 else 'more'}"

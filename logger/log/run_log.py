@@ -14,16 +14,16 @@ from tilth.logger.clock import Clock
 from tilth.logger.log import recovery
 from tilth.logger.log.counts import RecordedCounts
 from tilth.logger.log.disk import Disk
-from tilth.logger.log.lock import UNLOCKED
 from tilth.logger.log.mcap_log import ClockReason, machine_sha256
 from tilth.logger.log.open_file import OpenFile
 from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderStates
 from tilth.logger.log.room import Room
-from tilth.logger.log.run_files import Report, RunFiles
+from tilth.logger.log.run_files import RunFiles
 from tilth.schemas.channels import ADDRESSES_TOPIC, encode_addresses
 from tilth.schemas.flow import EventKind, Frame
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 FLUSH_NS = 400_000_000  # with a turn of the loop and the sync itself, no frame waits a second for the disk
 FIRST_RETRY_NS = 1_000_000_000  # after a failure
@@ -159,7 +159,10 @@ class Recording:
     def on_disk_thread(self, job: Callable[[], None]) -> None:
         """Run a job in the disk thread that the log does not depend on; what it raises is reported."""
         self._disk.do_independent(
-            job, lambda error: self._report(EventKind.LOG, _sentence(error, self.folder))
+            job,
+            lambda error: self._report(
+                EventKind.LOG, notice(NoticeCode.DISK_TROUBLE, why=_sentence(error, self.folder))
+            ),
         )
 
     def settle(self, then: Callable[[str], None]) -> None:
@@ -197,9 +200,7 @@ class Recording:
         stopped = self._disk.stop()
         self._look_at_closed(at_end=True)
         if not stopped:
-            self._report(
-                EventKind.LOG, f"{self.folder}: the disk does not answer; the end of the log may be missing"
-            )
+            self._report(EventKind.LOG, notice(NoticeCode.DISK_SILENT, folder=str(self.folder)))
 
     def _keep_up(self, file: OpenFile) -> None:
         """All is well until now: flush, and see whether it still is."""
@@ -229,7 +230,7 @@ class Recording:
     def _say_unlocked(self, file: OpenFile) -> None:
         if not (file.spool.locked or self._said_unlocked):
             self._said_unlocked = True
-            self._report(EventKind.LOG, f"{self.folder}: {UNLOCKED}")
+            self._report(EventKind.LOG, notice(NoticeCode.UNLOCKED, folder=str(self.folder)))
 
     def _is_silent(self) -> bool:
         """Whether no frame has come for so long that the ignition must be off."""
@@ -242,8 +243,8 @@ class Recording:
         if file.age_ns(self._now_ns) >= LONGEST_RETRY_NS:  # one that fails each file soon is tried less often
             self._back_off.worked()
         if self._states.state is RecorderState.TRYING:
-            name = file.spool.path.name
-            self._report(EventKind.LOG, f"recording again in {name}; {self.missed} frames were not recorded")
+            again = notice(NoticeCode.RECORDING_AGAIN, file=file.spool.path.name, missed=self.missed)
+            self._report(EventKind.LOG, again)
         self._states.after(Happening.ON_DISK)
 
     def _finish(self, file: OpenFile, why: ClockReason) -> None:
@@ -272,8 +273,8 @@ class Recording:
         """See what became of files that were finished; at_end: also of those that the disk never took."""
         for spool in self.counts.take_closed(at_end):
             if spool.error is not None and spool.opened:
-                text = f"the end of the log may be missing: {_sentence(spool.error, spool.path)}"
-                self._report(EventKind.LOG, text)
+                why = _sentence(spool.error, spool.path)
+                self._report(EventKind.LOG, notice(NoticeCode.END_MISSING, why=why))
             elif spool.error is not None:  # a last try, of which nothing is there
                 self._states.failed(Happening.EARLIER_FAILED, _sentence(spool.error, self.folder))
 
@@ -314,7 +315,7 @@ class Recording:
         self._now_ns = self._last_frame_ns = t_ns
         self._run.begin_run()
         self._open(with_state=True)
-        self._report(EventKind.LOG, f"ignition is on: a new run begins in {self._run.newest.name}")
+        self._report(EventKind.LOG, notice(NoticeCode.NEW_RUN, file=self._run.newest.name))
 
     def _make_room(self, t_ns: int) -> None:
         if self._room.is_wanted(self._disk.free_bytes, t_ns):

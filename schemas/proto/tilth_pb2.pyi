@@ -337,21 +337,44 @@ class Addresses(_message.Message):
     machine_sha256: str
     def __init__(self, t_ns: _Optional[int] = ..., known: _Optional[_Iterable[_Union[Addresses.Known, _Mapping]]] = ..., machine_sha256: _Optional[str] = ...) -> None: ...
 
+class Notice(_message.Message):
+    __slots__ = ("code", "values", "parts", "reason")
+    class Value(_message.Message):
+        __slots__ = ("name", "number", "text")
+        NAME_FIELD_NUMBER: _ClassVar[int]
+        NUMBER_FIELD_NUMBER: _ClassVar[int]
+        TEXT_FIELD_NUMBER: _ClassVar[int]
+        name: str
+        number: float
+        text: str
+        def __init__(self, name: _Optional[str] = ..., number: _Optional[float] = ..., text: _Optional[str] = ...) -> None: ...
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    VALUES_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    values: _containers.RepeatedCompositeFieldContainer[Notice.Value]
+    parts: _containers.RepeatedCompositeFieldContainer[Notice]
+    reason: Reason
+    def __init__(self, code: _Optional[str] = ..., values: _Optional[_Iterable[_Union[Notice.Value, _Mapping]]] = ..., parts: _Optional[_Iterable[_Union[Notice, _Mapping]]] = ..., reason: _Optional[_Union[Reason, _Mapping]] = ...) -> None: ...
+
 class Event(_message.Message):
-    __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg", "utc_ns")
+    __slots__ = ("t_ns", "kind", "text", "latitude_deg", "longitude_deg", "utc_ns", "notice")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     TEXT_FIELD_NUMBER: _ClassVar[int]
     LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     UTC_NS_FIELD_NUMBER: _ClassVar[int]
+    NOTICE_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     kind: str
     text: str
     latitude_deg: float
     longitude_deg: float
     utc_ns: int
-    def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., utc_ns: _Optional[int] = ...) -> None: ...
+    notice: Notice
+    def __init__(self, t_ns: _Optional[int] = ..., kind: _Optional[str] = ..., text: _Optional[str] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., utc_ns: _Optional[int] = ..., notice: _Optional[_Union[Notice, _Mapping]] = ...) -> None: ...
 
 class BusStatus(_message.Message):
     __slots__ = ("name", "state", "frames", "frames_per_s", "silent_s", "reopened", "error_frames", "lost_frames", "reason", "stamp", "controller", "errors", "failures", "silences", "load")

@@ -3,5 +3,7 @@
 from tilth.schemas.sentences.advice import MANOEUVRES as MANOEUVRES
 from tilth.schemas.sentences.advice import advice_sentence as advice_sentence
 from tilth.schemas.sentences.advice import combination_words as combination_words
+from tilth.schemas.sentences.notices import event_sentence as event_sentence
+from tilth.schemas.sentences.notices import notice_sentence as notice_sentence
 from tilth.schemas.sentences.reasons import SENTENCES as SENTENCES
 from tilth.schemas.sentences.reasons import sentence as sentence

@@ -10,6 +10,8 @@ from typing import Final
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.spread import share
 
+ENGLISH: Final = "en"  # key of the tables of words
+
 SENTENCES: Final[Mapping[Code, str]] = {
     Code.TEXT: "{of[0]}",
     Code.SETTLING: "settling",
@@ -93,7 +95,13 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} over {n[1]:.0f} parameters, of which "
         "chance allows {n[2]:.0f}"
     ),
+    Code.SAVED_BY_ANOTHER_VERSION: "it is of another version",
+    Code.SAVED_NOT_FINITE: "it holds what is no number",
+    Code.SAVED_WITHOUT_COVARIANCE: "its covariance is none",
+    Code.SAVED_INCOMPLETE: "a part of it is missing",
+    Code.ESTIMATORS_FAILED: ("the estimators failed ({of[0]}: {of[1]}) and start again; frames are logged"),
 }
+LANGUAGES: Final[Mapping[str, Mapping[Code, str]]] = {ENGLISH: SENTENCES}
 _NOW: Final = (Code.NOTHING_LEARNED, Code.NOTHING_FITTED, Code.NO_STEADY_TURN_YET)
 """What says why nothing is learned now."""
 
@@ -103,19 +111,19 @@ class _Number(float):
         return share(self) if spec == "share" else super().__format__(spec)
 
 
-def sentence(reason: Reason | None) -> str:
+def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
     """The reason in words, without a full stop; "" for none."""
     if reason is None:
         return ""
     of = reason.of
-    text = SENTENCES[reason.code].format(
+    text = LANGUAGES[language][reason.code].format(
         of=of,
         n=[_Number(number) for number in reason.numbers],
         keys=f" ({', '.join(of)})" if of else "",
         others=", ".join(of[1:]),
         others_and=" and ".join(of[1:]) or "any other",
     )
-    because = "; ".join(map(sentence, reason.because))
+    because = "; ".join(sentence(one, language) for one in reason.because)
     if not because:
         return text
     return f"{text} (now: {because})" if reason.code in _NOW else f"{text}: {because}"

@@ -20,9 +20,10 @@ from tilth.estimator.models.parameters import TABLE_5_1, rig_of
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import Notice, NoticeCode
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind, Combination, text_reason
-from tilth.schemas.sentences import sentence
+from tilth.schemas.sentences import event_sentence, sentence
 
 ENCODING = "application/protobuf;tilth.SoilTireEstimate"
 RULE = Staleness(silence_s=3.0, data_s=600.0)
@@ -133,9 +134,10 @@ def test_fields_of_a_later_version_are_passed_over() -> None:
 
 
 def test_a_text_is_one_short_line() -> None:
-    event = Event(1, "mark", "a\nb\x1b[31m" + "x" * 9999)
+    event = Event(1, "mark", Notice(NoticeCode.TEXT, {"text": "a\nb\x1b[31m" + "x" * 9999}))
     received = event_of(CHANNEL["/event"].encode(event), "application/protobuf;tilth.Event")
-    assert received.text.startswith("a b [31mx") and len(received.text) == 500
+    words = event_sentence(received)
+    assert words.startswith("a b [31mx") and len(words) == 500
 
 
 def test_the_rig_comes_whole() -> None:

@@ -26,6 +26,7 @@ from tilth.schemas.flow import (
     Status,
 )
 from tilth.schemas.machine import Machine
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import Fault, Reclaim, Scenario
 from tilth.simulator.traffic import simulate
@@ -121,7 +122,7 @@ def test_the_clock_of_a_log_stepping_back_is_counted_and_survived() -> None:
     state, out = run(stepped)
     assert state.rejected["clock_step"] == 1
     (event,) = [e for e in events(out) if e.kind == "clock_step"]
-    assert "3600.0 s" in event.text
+    assert "3600.0 s" in event_sentence(event)
     assert not poses(out)[-1].flags  # aligned anew
     assert state.poses > 130
 
@@ -141,7 +142,7 @@ def test_one_receiver_silent_is_flagged_at_the_sample_and_back() -> None:
     start = frames(16.0, scenario)[0].t_ns
     assert 8.2e9 < flagged[-1] - start < 12.6e9
     assert (flagged[-1] - flagged[0]) * 1e-9 == pytest.approx(3.2, abs=0.4)
-    texts = [e.text for e in events(out) if "implement_rear" in e.text]
+    texts = [text for e in events(out) if "implement_rear" in (text := event_sentence(e))]
     assert "implement_rear gives no usable position" in texts and "implement_rear: over" in texts
 
 

@@ -15,6 +15,7 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.can_id import split
 from tilth.schemas.flow import Event
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.steering import COMMAND
 
 
@@ -23,7 +24,7 @@ class Heard(NoDisplay):
         self.told: list[str] = []
 
     def event(self, event: Event) -> None:
-        self.told.append(event.text)
+        self.told.append(event_sentence(event))
 
 
 def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(

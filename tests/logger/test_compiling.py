@@ -288,8 +288,9 @@ ELSEWHERE = """
 import os, time
 from logs import MACHINE
 from tilth.logger.preparing import Preparing
+from tilth.schemas.sentences import notice_sentence
 said = []
-preparing = Preparing(MACHINE, lambda kind, text: said.append(text))
+preparing = Preparing(MACHINE, lambda kind, told: said.append(notice_sentence(told)))
 deadline = time.monotonic() + 120.0
 while preparing._process is None and time.monotonic() < deadline:
     time.sleep(0.02)

@@ -43,6 +43,7 @@ from tilth.logger.status_line import PlainDisplay
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, Frame, Publication, Status
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.traffic import simulate
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-daemon"\n\n'
@@ -52,6 +53,7 @@ COMMAND = """
 import sys
 sys.modules["asammdf"] = None  # two seconds of import for reading files
 from tilth.cli import main
+from tilth.schemas.sentences import event_sentence
 raise SystemExit(main())
 """
 
@@ -244,7 +246,7 @@ def test_a_fault_in_the_estimators_costs_no_frame(
     (path,) = summary.log_files
     assert [f.data for f in logged_frames(path)] == [f.data for f in numbered(10)] and summary.faults == 1
     (event,) = [event for event in displayed.events if event.kind == "fault"]
-    assert "ZeroDivisionError: a model" in event.text
+    assert "ZeroDivisionError: a model" in event_sentence(event)
     (estimate,) = records_of(path, "/soil_tire", pb.SoilTireEstimate)
     assert {row.status for row in estimate.parameters} == {int(Status.INVALID)}
     assert all("ZeroDivisionError" in row.reason and not row.HasField("value") for row in estimate.parameters)
@@ -302,11 +304,11 @@ def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
     say(talker, numbered(1)[0])
     until(lambda: displayed.status.frames == 1, daemon.turn)
     summary = daemon.close()
-    assert "can9" in displayed.events[0].text and "nosuchcan9" in displayed.events[0].text
+    assert "can9" in (words := event_sentence(displayed.events[0])) and "nosuchcan9" in words
     assert any(problem.startswith("bus can9 failed") for problem in displayed.status.problems)
     assert [frame.bus for frame in logged_frames(summary.log_files[0])] == ["can0"]
     collected = [(event.kind, event.text) for event in records_of(summary.log_files[0], "/event", pb.Event)]
-    assert collected == [(event.kind, event.text) for event in displayed.events]
+    assert collected == [(event.kind, event_sentence(event)) for event in displayed.events]
     assert collected[1:] == [("bus", "can0: its frames are stamped by the driver behind python-can")]
 
 
@@ -334,7 +336,7 @@ def test_a_step_of_the_clock_is_noted_and_the_log_goes_on_evenly(
         say(talker, frame)
     until(lambda: displayed.status.frames == 3, daemon.turn)
     summary = daemon.close()
-    assert displayed.events[0].kind == "clock" and "set by +3600.000 s" in displayed.events[0].text
+    assert displayed.events[0].kind == "clock" and "set by +3600.000 s" in event_sentence(displayed.events[0])
     times = [frame.t_ns for frame in logged_frames(summary.log_files[0])]
     assert times == sorted(times) and times[-1] - times[0] < 1_000_000_000
     assert clock_records(summary.log_files[0]) == ["start", "step", "end"]

@@ -29,6 +29,7 @@ from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.traffic import traffic
@@ -118,7 +119,7 @@ def events() -> list[str]:
 
 @pytest.fixture(scope="module")
 def worker(events: list[str]) -> Iterator[Worker]:
-    made = Worker(MACHINE, lambda kind, text: events.append(f"{kind}: {text}"))
+    made = Worker(MACHINE, lambda kind, told: events.append(f"{kind}: {notice_sentence(told)}"))
     yield made
     made.close()
 
@@ -193,7 +194,7 @@ def _endless() -> Any:
 
 def test_an_end_in_the_middle_of_a_fit_waits_for_nothing() -> None:
     messages: list[str] = []
-    worker = Worker(MACHINE, lambda kind, text: messages.append(text))
+    worker = Worker(MACHINE, lambda kind, told: messages.append(notice_sentence(told)))
     worker.ask(pem.METHOD, replace(a_job(), record=_endless()))
     worker.close()
     deadline = time.monotonic() + 30.0  # a busy computer may take longer to end it than `close` waits
@@ -391,7 +392,7 @@ def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path) -> None:
 
 
 def test_a_log_of_its_own_is_waited_for_until_the_next_frame() -> None:
-    replayed = ReplayedFits(MACHINE, lambda kind, text: None)
+    replayed = ReplayedFits(MACHINE, lambda kind, told: None)
     job = a_job()
     assert replayed.outcome(pem.METHOD, job, 10) is not None
     replayed.holds_outcomes = True
@@ -410,7 +411,7 @@ def test_a_log_of_its_own_is_waited_for_until_the_next_frame() -> None:
 
 def test_a_fit_of_a_replay_is_made_meanwhile_and_a_failure_is_told() -> None:
     events: list[str] = []
-    replayed = ReplayedFits(MACHINE, lambda kind, text: events.append(f"{kind}: {text}"))
+    replayed = ReplayedFits(MACHINE, lambda kind, told: events.append(f"{kind}: {notice_sentence(told)}"))
     replayed.ask(pem.METHOD, a_job())
     under_way = replayed._asked[pem.METHOD]
     replayed.ask(pem.METHOD, a_job())

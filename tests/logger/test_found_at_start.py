@@ -26,6 +26,7 @@ from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import Event
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.traffic import simulate
 
 NOW = 1_800_000_000_000_000_000
@@ -108,7 +109,9 @@ def taken_up(plain: object, folder: Path) -> tuple[list[str], GuardedFold]:
     path.write_text(plain if isinstance(plain, str) else json.dumps(plain))
     told: list[str] = []
     guarded = GuardedFold(MACHINE)
-    warm_start_file.take_up(path, MACHINE, NOW, guarded.warm, lambda kind, text: told.append(text))
+    warm_start_file.take_up(
+        path, MACHINE, NOW, guarded.warm, lambda kind, one: told.append(notice_sentence(one))
+    )
     return told, guarded
 
 

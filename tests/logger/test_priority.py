@@ -28,8 +28,9 @@ FITS = """
 import os, sys, time
 from logs import MACHINE
 from tilth.logger.fitting import Worker
+from tilth.schemas.sentences import notice_sentence
 said = []
-worker = Worker(MACHINE, lambda kind, text: said.append(text))
+worker = Worker(MACHINE, lambda kind, told: said.append(notice_sentence(told)))
 worker.start()
 deadline = time.monotonic() + 60.0
 while not (said if REFUSED else worker._process) and time.monotonic() < deadline:

@@ -22,6 +22,7 @@ from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.flow import Estimate, Event, Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.traffic import simulate
 
 pytestmark = pytest.mark.long
@@ -59,7 +60,7 @@ class Shown(NoDisplay):
         self.statuses.append(status)
 
     def event(self, event: Event) -> None:
-        self.events.append(event.text)
+        self.events.append(event_sentence(event))
 
 
 class Drive:

@@ -6,6 +6,7 @@ from rich.console import Console
 
 from tilth.logger.status_line import PanelDisplay, PlainDisplay, plain_line, stiffness_text
 from tilth.schemas.flow import Event, ParameterEstimate, Status
+from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
 
@@ -32,7 +33,7 @@ def status_with(**fields: object) -> pb.Status:
 def panel_text(status: pb.Status) -> str:
     stream = io.StringIO()
     display = PanelDisplay("rig", Console(file=stream, force_terminal=True, width=110, color_system=None))
-    display.event(Event(status.t_ns, "bus", "can0: heard again"))
+    display.event(Event(status.t_ns, "bus", in_words("can0: heard again")))
     display.show(status, None)
     display.close()
     return stream.getvalue()
@@ -76,7 +77,7 @@ def test_plain_lines_say_the_same() -> None:
     status.problems.extend(["disk: 5 minutes", "x"])
     display.show(status, None)
     display.show(status, None)  # one line each five seconds
-    display.event(Event(status.t_ns, "bus", "can0: silent"))
+    display.event(Event(status.t_ns, "bus", in_words("can0: silent")))
     first, second = stream.getvalue().splitlines()
     assert first.startswith("14:13:20Z recording, 1.5 MB, 5 frames (800/s), receivers 1/2, wheel angle alive")
     assert first.endswith("PROBLEM disk: 5 minutes (and 1 more)")

@@ -35,7 +35,8 @@ from tilth.schemas.flow import Accepted, Event, Frame, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
-from tilth.schemas.sentences import sentence
+from tilth.schemas.reasons import Code
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.traffic import simulate
 
 SECOND = 1_000_000_000
@@ -150,23 +151,23 @@ def test_nothing_learned_is_nothing_kept() -> None:
     assert save_learned(fold.initial(MACHINE), NOW) == {}
 
 
-SPOILT: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"names": ("C_af",)}, "another version"),
-    ({"mean": np.zeros(3)}, "another version"),
-    ({"mean": np.full(len(unknowns.NAMES), np.nan)}, "no number"),
-    ({"covariance": -np.eye(len(unknowns.NAMES))}, "its covariance is none"),
-    ({"counts": {}}, "missing"),
-    ({"age_s": np.nan}, "missing"),
+SPOILT: tuple[tuple[dict[str, Any], Code], ...] = (
+    ({"names": ("C_af",)}, Code.SAVED_BY_ANOTHER_VERSION),
+    ({"mean": np.zeros(3)}, Code.SAVED_BY_ANOTHER_VERSION),
+    ({"mean": np.full(len(unknowns.NAMES), np.nan)}, Code.SAVED_NOT_FINITE),
+    ({"covariance": -np.eye(len(unknowns.NAMES))}, Code.SAVED_WITHOUT_COVARIANCE),
+    ({"counts": {}}, Code.SAVED_INCOMPLETE),
+    ({"age_s": np.nan}, Code.SAVED_INCOMPLETE),
 )
 
 
 @pytest.mark.parametrize(("change", "expected"), SPOILT)
-def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: str) -> None:
+def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: Code) -> None:
     retained = save_learned(taught(), NOW)
     state = fold.initial(MACHINE)
     why_not = resume(state, {**retained, "pem": replace(retained["pem"], **change)}, 0.0, NOW)
-    assert expected in why_not["pem"]
-    assert why_not["steady_state"] == ""
+    assert why_not["pem"] is expected
+    assert why_not["steady_state"] is None
     assert np.array_equal(state.estimators["pem"].mean, fold.initial(MACHINE).estimators["pem"].mean)
 
 
@@ -251,7 +252,7 @@ class Told(NoDisplay):
         self.events.append(event)
 
     def of_warm_start(self) -> list[str]:
-        return [event.text for event in self.events if event.kind == "warm_start"]
+        return [event_sentence(event) for event in self.events if event.kind == "warm_start"]
 
 
 pytestmark = pytest.mark.usefixtures("prepared")
@@ -380,7 +381,7 @@ def test_what_was_found_moved_stays_so_after_a_restart(
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
     second, told = a_run(tmp_path, second_rig, keep=True)
-    (event,) = [event.text for event in told.events if event.kind == "moved"]
+    (event,) = [event_sentence(event) for event in told.events if event.kind == "moved"]
     assert says in event and "accept it as it is now" in event
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)

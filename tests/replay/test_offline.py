@@ -24,6 +24,7 @@ from tilth.schemas.flow import Frame, Publication
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import Snapshot
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.traffic import simulate
 
 
@@ -151,7 +152,7 @@ def test_a_part_whose_state_is_refused_says_why_and_gives_poses_all_the_same(
     summary, output = run([path], writer=writer)
     writer.close()
     assert summary.faults == 0 and summary.poses > 20
-    collected = [event.text for event in summary.events if event.kind == "stored_state"]
+    collected = [event_sentence(event) for event in summary.events if event.kind == "stored_state"]
     assert len(collected) == len(output) == (reason != "")
     for text in (*collected, *output):
         assert reason in text and text.endswith("; going on without it")

@@ -16,6 +16,7 @@ from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "rig_20260301T080000Z"
@@ -121,7 +122,7 @@ def test_what_is_being_written_is_neither_unfinished_nor_damaged(
         writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", 2, rows[0].t_ns), stream)
         for frame in rows:
             writer.frame(frame)
-        mark = Event(rows[-1].t_ns, "mark", "stone")
+        mark = Event(rows[-1].t_ns, "mark", in_words("stone"))
         writer.message("/event", mark.t_ns, CHANNEL["/event"].encode(mark))
         writer.message("/status", mark.t_ns, status(mark.t_ns, "alive"))
         writer.flush()

@@ -11,6 +11,7 @@ from tilth.schemas.flow import AddressClaim, Frame, Mount, Position
 from tilth.schemas.identity import KnownAddress, split_name
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.sentences import notice_sentence
 
 TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
 MS = 1_000_000
@@ -386,8 +387,8 @@ def test_two_devices_with_one_name_stay_with_their_addresses(
         assert (bus.position_of(28), bus.position_of(129)) == (front, rear)
         bus.claim(28, LOW)
         bus.claim(129, LOW)
-    ((kind, text),) = bus.decoder.addresses.news
-    assert kind == "twin_name" and f"two devices claim NAME {LOW:016X} (addresses " in text
+    ((kind, told),) = bus.decoder.addresses.news
+    assert kind == "twin_name" and f"two devices claim NAME {LOW:016X} (addresses " in notice_sentence(told)
     assert bus.decoder.addresses.twins == {("can0", LOW)}
     stored = json.loads(json.dumps(bus.decoder.dump()))
     bus.decoder = Decoder(rig)

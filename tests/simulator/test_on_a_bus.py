@@ -66,7 +66,7 @@ def test_another_process_understands_what_is_sent(machine: Machine) -> None:
         return looks[1] > 3
 
     with sending(port, "--seconds", "2.5") as process:
-        for frame in listen([bus], 120.0, lambda kind, text: None, over):
+        for frame in listen([bus], 120.0, lambda kind, told: None, over):
             received.append(frame)
             survey.take(frame)
         assert process.stdout is not None

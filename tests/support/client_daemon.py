@@ -19,6 +19,7 @@ from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, Status
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import in_words
 from tilth.schemas.reasons import Code, Reason
 
 NAME = "jd7930-parker500"
@@ -132,7 +133,7 @@ def main() -> None:
             result = {"parameters": NOTHING} if orders["absent"] else {}
             sink.put("/soil_tire", encoded(estimate(t_ns, orders["scale"], **result)))
         if orders["event"]:
-            event = Event(t_ns, orders["event"], "the soil is another")
+            event = Event(t_ns, orders["event"], in_words("the soil is another"))
             sink.put("/event", CHANNEL["/event"].encode(event))
             orders["event"] = ""
     sink.close()

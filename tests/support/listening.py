@@ -12,6 +12,8 @@ from tilth.logger.can.port_threads import Opener
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
+from tilth.schemas.notices import Notice, NoticeCode
+from tilth.schemas.sentences import notice_sentence
 
 
 def udp(name: str, port: int) -> Bus:
@@ -36,8 +38,9 @@ class Listening:
         self.buses = Buses(configs, self.clock, self._report, opener)
         self.settle()
 
-    def _report(self, kind: str, text: str) -> None:
-        (self.stamps if "stamped by" in text else self.events).append(f"{kind}: {text}")
+    def _report(self, kind: str, told: Notice) -> None:
+        rows = self.stamps if told.code is NoticeCode.BUS_STAMPED else self.events
+        rows.append(f"{kind}: {notice_sentence(told)}")
 
     @property
     def live_buses(self) -> list[LiveBus]:

@@ -14,6 +14,8 @@ from tilth.logger.clock import Clock
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.flow import Frame
+from tilth.schemas.notices import Notice
+from tilth.schemas.sentences import notice_sentence
 
 
 class Recorder:
@@ -32,8 +34,8 @@ class Recorder:
             folder, self.machine, self.text, self.clock, self._report, self.fold.renew, simulated=simulated
         )
 
-    def _report(self, kind: str, text: str) -> None:
-        self.events.append(f"{kind}: {text}")
+    def _report(self, kind: str, told: Notice) -> None:
+        self.events.append(f"{kind}: {notice_sentence(told)}")
 
     def take(self, frame: Frame) -> None:
         frame = replace(frame, t_ns=frame.t_ns + self._later_ns, rx_ns=frame.rx_ns + self._later_ns)

@@ -8,6 +8,7 @@ from logs import MACHINE, MACHINE_TEXT, SECOND, Live, record
 
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.flow import Event, Frame, Publication
+from tilth.schemas.notices import in_words
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
@@ -50,7 +51,7 @@ def marked() -> Path:
     for frame in frames():
         while waiting and frame.t_ns >= waiting[0][0]:
             t_ns, text = waiting.pop(0)
-            writer.publications([Publication(t_ns, "/event", Event(t_ns, "mark", text))])
+            writer.publications([Publication(t_ns, "/event", Event(t_ns, "mark", in_words(text)))])
         writer.frame(frame)
     writer.close()
     return path

@@ -13,6 +13,7 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.runs import STAMP
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event, Frame
+from tilth.schemas.notices import in_words
 
 SECOND = 1_000_000_000
 START_NS = 1_795_248_000 * SECOND
@@ -35,7 +36,11 @@ def logged(seconds: float, start_ns: int = START_NS) -> Iterator[tuple[str, int,
             yield "/soil_tire", t_ns, CHANNEL["/soil_tire"].encode(estimate(t_ns, t_s, scale, 100.0 + t_s))
             yield "/status", t_ns, status(t_ns, t_s, ORDERS).SerializeToString()
         if t_s in marks:
-            yield "/event", t_ns, CHANNEL["/event"].encode(Event(t_ns, "mark", marks[t_s], 43.5, -83.4))
+            yield (
+                "/event",
+                t_ns,
+                CHANNEL["/event"].encode(Event(t_ns, "mark", in_words(marks[t_s]), 43.5, -83.4)),
+            )
 
 
 def write_run(

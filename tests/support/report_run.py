@@ -28,6 +28,7 @@ from tilth.schemas.flow import (
     Status,
     WheelAngle,
 )
+from tilth.schemas.notices import in_words
 from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason
 
 SPEED = 4.0  # m/s
@@ -85,10 +86,13 @@ def _rows(run: WrittenRun, t: float, t_ns: int) -> list[tuple[str, Payload]]:
     if t % 1.0 == 0.0 and t >= 20.0 and not run.without_estimates:
         rows += [(topic, estimate(t, t_ns, method, run.undetermined)) for topic, method in TOPICS]
     if t == 30.0:
-        rows.append(("/event", Event(t_ns, "mark", run.mark, *PLACE_DEG, t_ns)))
+        rows.append(("/event", Event(t_ns, "mark", in_words(run.mark), *PLACE_DEG, t_ns)))
     if t == 45.0:
         rows.append(
-            ("/event", Event(t_ns, "soil_change", "the soil holds the tyres differently", *PLACE_DEG))
+            (
+                "/event",
+                Event(t_ns, "soil_change", in_words("the soil holds the tyres differently"), *PLACE_DEG),
+            )
         )
     return rows
 

@@ -8,6 +8,7 @@ from logs import MACHINE
 from tilth.estimator import fold
 from tilth.schemas.flow import Event, Frame, Mount, Pose
 from tilth.schemas.identity import KnownAddress
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.traffic import simulate
 
 SECOND = 1_000_000_000
@@ -64,7 +65,7 @@ class Followed:
         for publication in fold.step(self.state, frame):
             value = publication.value
             if isinstance(value, Event):
-                self.events.append(f"{value.kind}: {value.text}")
+                self.events.append(f"{value.kind}: {event_sentence(value)}")
             if isinstance(value, Pose) and None not in (value.tractor.heading, value.implement.heading):
                 known = self.state.decoder.addresses.known()
                 here = {one.mount: one.source for one in known if one.mount is not None}

@@ -35,6 +35,7 @@ from tilth.schemas.flow import (
     known_flags,
 )
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason, text_reason
 
@@ -253,7 +254,7 @@ def main() -> None:
             scale, changed_s = orders["scale"], t_s
             orders["event"], orders["text"] = "soil_change", "the soil holds the tyres otherwise since here"
         while noted:
-            sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, "mark", noted.popleft())))
+            sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, "mark", in_words(noted.popleft()))))
         if orders["event"]:
             kind, orders["event"] = orders["event"], ""
             sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, kind, orders["text"])))

@@ -10,6 +10,7 @@ from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.logger.log.runs import StoredRun, stored_runs
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "rig_20260301T080000Z"
@@ -49,7 +50,7 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
                 status.wheel_angle.state = "alive"
                 writer.message("/status", row.t_ns, status.SerializeToString())
         if number == 1:
-            mark = Event(rows[2999].t_ns, "mark", "stone")
+            mark = Event(rows[2999].t_ns, "mark", in_words("stone"))
             writer.message("/event", mark.t_ns, CHANNEL["/event"].encode(mark))
             clock.offset_ns -= 5_000_000_000
             writer.clocks(clock, ClockReason.STEP)

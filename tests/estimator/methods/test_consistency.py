@@ -36,7 +36,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.reasons import Code
-from tilth.schemas.sentences import sentence
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.scenario import Fault, Ground, Scenario
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -83,7 +83,9 @@ def given(out: list[Publication]) -> Iterator[tuple[int, Estimate]]:
 
 
 def contradictions(out: list[Publication]) -> list[str]:
-    return [p.value.text for p in out if isinstance(p.value, Event) and p.value.kind == CONTRADICTION]
+    return [
+        event_sentence(p.value) for p in out if isinstance(p.value, Event) and p.value.kind == CONTRADICTION
+    ]
 
 
 def test_a_right_file_is_confirmed_and_raises_nothing() -> None:

@@ -1,7 +1,6 @@
 """The fit of all six parameters: on data of its own model, on frames of the virtual tractor, and as a job."""
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
@@ -34,8 +33,9 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Frame, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
-from tilth.schemas.reasons import Code
-from tilth.schemas.sentences import sentence
+from tilth.schemas.notices import reasoned
+from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences import notice_sentence, sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil
 from tilth.simulator.traffic import traffic
@@ -246,7 +246,7 @@ def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
     assert state.late == 1
     assert np.array_equal(state.mean, before)
     assert {p.status for p in estimate.parameters} == {Status.UNESTIMATED}
-    assert take_events(state) == [("fit", "a fit was not ready in time and was dropped")]
+    assert take_events(state) == [("fit", reasoned(Reason(Code.FIT_DROPPED)))]
 
 
 def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -> None:
@@ -261,10 +261,11 @@ def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -
     made = pem.fit(machine, job)
     assert made.changed
     pem.adopt(state, machine, made, 6)
-    ((kind, text),) = take_events(state)
-    factors = re.findall(r"(\w+) × ([\d.]+) to ([\d.]+)", text)
-    assert kind == "soil_change" and {name for name, _, _ in factors} >= {"C_af", "C_ar", "C_ai"}
-    assert all(float(low) < math.exp(-0.7) < float(high) for _, low, high in factors)
+    ((kind, told),) = take_events(state)
+    factors = [part.values for part in told.parts]
+    assert kind == "soil_change" and {one["parameter"] for one in factors} >= {"C_af", "C_ar", "C_ai"}
+    assert all(float(one["low"]) < math.exp(-0.7) < float(one["high"]) for one in factors)
+    assert notice_sentence(told).count(" × ") == len(factors)
     sd = np.sqrt(np.diag(state.covariance)[SIX])
     assert np.all(np.abs(state.mean[SIX] - truth) < 4.0 * sd)
 

@@ -25,7 +25,7 @@ from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Flag, Pose, Status
 from tilth.schemas.reasons import Code, Reason
-from tilth.schemas.sentences import combination_words, sentence
+from tilth.schemas.sentences import combination_words, notice_sentence, sentence
 
 TRUTH = (200e3, 560e3, 150e3)
 SD = {"yaw_rate": 0.004, "heading": 0.006, "velocity": 0.04, "wheel": 0.002, "roll": 0.006}
@@ -427,8 +427,8 @@ def test_a_soil_that_changed_is_an_event_once() -> None:
     ]
     for pose in after:
         steady_state.take(state, MACHINE, pose)
-    ((kind, text),) = take_events(state)
-    assert kind == "soil_change" and "learned anew" in text
+    ((kind, told),) = take_events(state)
+    assert kind == "soil_change" and "learned anew" in notice_sentence(told)
     assert take_events(state) == []
 
 

@@ -9,9 +9,10 @@ from circle import demo_machine
 from paths import SHARED
 
 from tilth.estimator.fold import initial, step
-from tilth.estimator.pose.log_time import LogTime, continues, on_log_clock, sentences, take_stamp
+from tilth.estimator.pose.log_time import LogTime, continues, on_log_clock, stray_senders, take_stamp
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Event, Frame
+from tilth.schemas.sentences import event_sentence, notice_sentence
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
@@ -150,7 +151,7 @@ def test_a_second_clock_costs_no_pose_and_is_counted() -> None:
     mixed_out = [p for _, _, f in mixed for p in step(among, f)]
     told = [p.value for p in mixed_out if isinstance(p.value, Event) and p.value.kind == "other_time"]
     assert [p for p in mixed_out if p.value not in told] == out
-    assert told[0].text == "1 frame of source 1 on can0 is stamped 7.5 s behind the rest: left out"
+    assert event_sentence(told[0]) == "1 frame of source 1 on can0 is stamped 7.5 s behind the rest: left out"
     assert among.rejected["other_time"] == len(late) and "clock_step" not in among.rejected
     assert alone.poses == among.poses > 20 and alone.rejected.get("other_time") is None
     assert not [p for p in out if isinstance(p.value, Event) and p.value.kind in ("gap", "clock_step")]
@@ -189,12 +190,10 @@ def test_a_minoritys_stamps_are_left_out_and_named(wrong: float | str, share: fl
     lost = len(rows) - few - used
     assert lost < (0.3 * RATE if first else 5), "the rest is used"
     assert few - first <= time.stray <= few  # a stamp of zero at the very beginning is no time yet
-    (mine,) = (text for text in sentences(time) if "source 28 on can0" in text)
+    strays = list(map(notice_sentence, stray_senders(time)))
+    (mine,) = (text for text in strays if "source 28 on can0" in text)
     if not first:
-        assert (
-            mine.startswith(f"{few} frame{'s' * (few > 1)} of source 28 on can0 ")
-            and len(sentences(time)) == 1
-        )
+        assert mine.startswith(f"{few} frame{'s' * (few > 1)} of source 28 on can0 ") and len(strays) == 1
         assert mine.endswith("the rest: left out") and ("behind" if off < 0 else "ahead of") in mine
         if abs(off) < 10:
             assert f"{abs(off):.1f} s" in mine
@@ -215,8 +214,8 @@ def test_two_buses_with_clocks_apart_are_aligned_by_the_order_of_the_frames(apar
             worst = max(worst, abs(on_log_clock(time, frame).t_ns * 1e-9 - START - t))
             assert continues(time, frame)
     assert worst < 0.01
-    ((_, text),) = [row for row in time.news if row[0] == "other_clock"]
-    assert f"can1 is {abs(apart):.1f} s {'ahead of' if apart > 0 else 'behind'}" in text
+    ((_, apart_by),) = [row for row in time.news if row[0] == "other_clock"]
+    assert f"can1 is {abs(apart):.1f} s {'ahead of' if apart > 0 else 'behind'}" in notice_sentence(apart_by)
 
 
 @pytest.mark.parametrize("each", [0.1, 1.0])
@@ -224,8 +223,8 @@ def test_stamps_that_are_too_coarse_are_said(each: float) -> None:
     rows = [(int(t / each + 1e-6) * each, "can0", i % 5) for i, t in enumerate(times(20.0, 1 / RATE))]
     used, jumps, time = counted(rows)
     assert used > 0.98 * len(rows) and jumps == [pytest.approx(1.0)] * len(jumps)
-    (text,) = [text for kind, text in time.news if kind == "coarse_stamps"]
-    assert ("whole seconds" if each == 1.0 else "steps of 0.1 s") in text
+    (coarse,) = [told for kind, told in time.news if kind == "coarse_stamps"]
+    assert ("whole seconds" if each == 1.0 else "steps of 0.1 s") in notice_sentence(coarse)
 
 
 @pytest.mark.parametrize("name", ["02-one-frame-a-second-6s-ahead"])
@@ -238,7 +237,7 @@ def test_of_the_drive_with_sixty_frames_ahead_all_others_are_used(name: str) -> 
         if isinstance(record, Frame):
             step(state, record)
     assert state.poses == 296 and state.rejected["other_time"] == 60
-    assert sentences(state.time) == [
+    assert list(map(notice_sentence, stray_senders(state.time))) == [
         "60 frames of source 0 on can0 are stamped 6.0 s ahead of the rest: left out"
     ]
 
@@ -261,7 +260,7 @@ def test_clocks_apart_in_a_log_that_was_sorted_are_said() -> None:
             frames.append(replace(frame, t_ns=t_ns, rx_ns=t_ns, bus="can1" if second else "can0"))
         for frame in sorted(frames, key=lambda f: f.t_ns):
             out += [p.value for p in step(state, frame) if isinstance(p.value, Event)]
-        told[apart_ns] = [event.text for event in out if event.kind == "other_clock"]
+        told[apart_ns] = [event_sentence(event) for event in out if event.kind == "other_clock"]
     assert told[0] == []
     (text_,) = told[5_000_000_000]
     assert text_.startswith("by the UTC of the receivers the clock of can1 is ")

@@ -7,12 +7,14 @@ from circle import Circle, demo_machine
 
 from tilth.estimator.pose import aligner
 from tilth.schemas.flow import Measurement, Mount, Position
+from tilth.schemas.notices import Notice
+from tilth.schemas.sentences import notice_sentence
 
 FRONT = Mount.IMPLEMENT_FRONT
 COPY_NS = 100_000_000
 
 
-def news(measurements: list[Measurement]) -> tuple[list[tuple[str, str]], aligner.Aligner]:
+def news(measurements: list[Measurement]) -> tuple[list[tuple[str, Notice]], aligner.Aligner]:
     state = aligner.initial(demo_machine())
     out = []
     for measurement in sorted(measurements, key=lambda m: m.rx_ns):
@@ -31,7 +33,9 @@ def test_who_sends_each_position_twice_is_named_and_the_copies_are_left_out() ->
     copies = [again(m) for m in given if m.origin.mount is FRONT]
     out, state = news(given + copies)
     assert [kind for kind, _ in out] == ["positions_repeated"]
-    assert out[0][1].startswith("implement_front sends each position 2 times: 5.0 a second are new")
+    assert notice_sentence(out[0][1]).startswith(
+        "implement_front sends each position 2 times: 5.0 a second are new"
+    )
     _, alone = news(given)
     track, clean = state.tracks[FRONT.value], alone.tracks[FRONT.value]
     assert len({t for t, *_ in track.positions}) == len(track.positions)
@@ -46,7 +50,10 @@ def test_one_position_a_second_is_said(period_s: float, kinds: list[str]) -> Non
     out, _ = news(list(circle.measurements(90.0)))
     assert [kind for kind, _ in out] == kinds
     if kinds:
-        assert out[0][1] == "implement_front gives only 1.0 positions a second; set it to 5 or more"
+        assert (
+            notice_sentence(out[0][1])
+            == "implement_front gives only 1.0 positions a second; set it to 5 or more"
+        )
 
 
 def test_a_receiver_at_rest_may_repeat_itself() -> None:

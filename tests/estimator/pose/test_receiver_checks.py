@@ -25,6 +25,7 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Event, Flag, FlagKind, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.scenario import Ground, Scenario
 from tilth.simulator.traffic import simulate
 
@@ -331,8 +332,10 @@ def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_u
     out = [p.value for row in rows for p in fold.step(state, row)]
     # Until it is found, one method or another may well disagree.
     events = [value for value in out if isinstance(value, Event) and value.kind != "disagreement"]
-    assert [(e.kind, who(e.text)) for e in events] == [(receiver_checks.SMOOTHED, m.value) for m in IMPLEMENT]
-    assert all(e.latitude_deg is not None and "turn its smoothing off" in e.text for e in events)
+    assert [(e.kind, who(event_sentence(e))) for e in events] == [
+        (receiver_checks.SMOOTHED, m.value) for m in IMPLEMENT
+    ]
+    assert all(e.latitude_deg is not None and "turn its smoothing off" in event_sentence(e) for e in events)
     found = out.index(events[0])
     before = [value for value in out[:found] if isinstance(value, Pose)]
     after = [value for value in out[found:] if isinstance(value, Pose)]

@@ -15,7 +15,9 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.standing import StandingCheck
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import BodyPose, Estimate, Event, Flag, Frame, Pose, Status
+from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences import event_sentence
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.traffic import simulate
 
@@ -86,7 +88,7 @@ def test_a_wheel_angle_that_stands_still_is_named_and_no_number_is_given() -> No
 
     state, events, poses, estimates = run(freeze)
     assert [event.kind for event in events] == ["stands_still"]
-    assert "wheel-angle sensor" in events[0].text and "cable" in events[0].text
+    assert "wheel-angle sensor" in event_sentence(events[0]) and "cable" in event_sentence(events[0])
     assert (events[0].t_ns - drive()[0].t_ns) * 1e-9 < FAILS_S + 5.0
     assert Flag.parse("stands_still:wheel_angle") in poses[-1].flags and poses[-1].wheel_angle is None
     assert {p.status for p in estimates[-1].parameters} == {Status.INVALID}
@@ -131,9 +133,9 @@ def body(yaw_rate: float, heading: float, u: float) -> BodyPose:
 def feed(
     quantity: str, who: str, value: Callable[[float], float], rate: Callable[[float], float], u: float = 4.0,
     seconds: float = 30.0,
-) -> tuple[Aligner, list[tuple[str, str]]]:  # fmt: skip
+) -> tuple[Aligner, list[tuple[str, Notice]]]:  # fmt: skip
     """A rig that turns at rate(t), with readings value(t) of one quantity at 50 Hz."""
-    rig, state, heading, events = aligner.initial(MACHINE), StandingCheck(), 0.0, list[tuple[str, str]]()
+    rig, state, heading, events = aligner.initial(MACHINE), StandingCheck(), 0.0, list[tuple[str, Notice]]()
     rig.moving = u >= aligner.UNDER_WAY
     for k in range(round(seconds * 5)):
         t = k / 5

@@ -2,6 +2,8 @@
 
 from tilth.estimator.results.flag_events import flag_events
 from tilth.schemas.flow import Flag, FlagKind
+from tilth.schemas.notices import Notice
+from tilth.schemas.sentences import notice_sentence
 
 LOST, LATE = Flag(FlagKind.LOST, "tractor_rear"), Flag(FlagKind.LATE, "tractor_rear")
 
@@ -9,12 +11,12 @@ LOST, LATE = Flag(FlagKind.LOST, "tractor_rear"), Flag(FlagKind.LATE, "tractor_r
 def told(flag: Flag, often: int) -> list[str]:
     """Texts where it comes and goes so often."""
     times: dict[str, int] = {}
-    found: list[tuple[str, str]] = []
+    found: list[tuple[str, Notice]] = []
     for _ in range(often):
         found += flag_events((), (flag,), times)
         found += flag_events((flag,), (), times)
     assert {kind for kind, _ in found} == {flag.kind}
-    return [text for _, text in found]
+    return [notice_sentence(one) for _, one in found]
 
 
 def test_each_loss_is_told_with_its_end() -> None:
@@ -31,7 +33,8 @@ def test_what_is_late_all_day_is_told_now_and_then() -> None:
 def test_what_stays_is_no_event_and_a_silent_sensor_is_named() -> None:
     wheel = Flag(FlagKind.LOST, "wheel_angle")
     assert flag_events((LOST,), (LOST,), {}) == []
-    assert flag_events((LOST,), (LOST, wheel), {}) == [(FlagKind.LOST, "wheel_angle is silent")]
+    ((kind, one),) = flag_events((LOST,), (LOST, wheel), {})
+    assert kind == FlagKind.LOST and notice_sentence(one) == "wheel_angle is silent"
 
 
 def test_frames_that_come_late_are_told_each_time() -> None:

@@ -20,6 +20,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.status import bus_status
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
+from tilth.schemas.sentences import notice_sentence
 
 pytestmark = pytest.mark.usefixtures("watched_by_hand")
 
@@ -212,7 +213,7 @@ def test_an_opening_that_hangs_is_said_and_begun_anew_and_no_other_bus_waits(
     hanging = Hanging()
     events: list[str] = []
     configs = [Bus(name="hung", interface="pcan", channel="x"), virtual("v")]
-    buses = Buses(configs, Clock(), lambda kind, text: events.append(text), hanging.open)
+    buses = Buses(configs, Clock(), lambda kind, told: events.append(notice_sentence(told)), hanging.open)
     hung, other = buses.live_buses
     frames: list[Frame] = []
     sent = 0

@@ -153,4 +153,4 @@ def test_an_unknown_interface_is_a_fault_of_the_machine_file() -> None:
     with pytest.raises(MachineError, match=r'bus can0: interface = "socketcn" .* did you mean "socketcan"\?'):
         check_interface(Bus(name="can0", interface="socketcn", channel="can0"))
     with pytest.raises(MachineError, match=r"it knows .*udp_multicast"):
-        Buses([Bus(name="can0", interface="zzz", channel="can0")], Clock(), lambda kind, text: None)
+        Buses([Bus(name="can0", interface="zzz", channel="can0")], Clock(), lambda kind, told: None)

@@ -20,12 +20,14 @@ from tilth.logger.can.port import StampedBy
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
+from tilth.schemas.sentences import notice_sentence
 
 COUNT, GAP_S, FORGETS_S = 500, 0.005, 1.6  # an autopilot forgets after 5 s: this one sooner
 # Forwards numbered frames while it is asked; tells how often it was, and what else it was told.
 AUTOPILOT = f"""
 import socket, struct, sys, time
 from pymavlink.dialects.v20 import ardupilotmega as m
+from tilth.schemas.sentences import notice_sentence
 udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 udp.connect(("127.0.0.1", int(sys.argv[1])))
 udp.setblocking(False)
@@ -125,7 +127,7 @@ def test_the_daemon_reads_it_and_counts_what_the_way_loses() -> None:
     check_interface(config)
     events: list[str] = []
     frames: list[Frame] = []
-    buses = Buses([config], Clock(), lambda kind, text: events.append(text), open_port)
+    buses = Buses([config], Clock(), lambda kind, told: events.append(notice_sentence(told)), open_port)
     (live,) = buses.live_buses
 
     def turn() -> None:

@@ -19,6 +19,7 @@ from tilth.logger.can.slcan import SlcanPort
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus
+from tilth.schemas.sentences import notice_sentence
 
 FULL_RATE = 1908  # frames/s with 8 bytes on a full bus of 250 kbit/s
 
@@ -167,7 +168,7 @@ def test_a_full_bus_comes_through_without_loss(adapter: Adapter) -> None:
     """Paced like the bus, as far as the terminal has room."""
     seconds, clock = 1.5, Clock()
     events: list[str] = []
-    buses = Buses([adapter.config()], clock, lambda kind, text: events.append(text))
+    buses = Buses([adapter.config()], clock, lambda kind, told: events.append(notice_sentence(told)))
     (live,) = buses.live_buses
     until(lambda: live.connection.port is not None, lambda: buses.read(0.01))
     count = int(FULL_RATE * seconds)
@@ -198,7 +199,7 @@ def _more(buses: Buses, frames: list[Frame]) -> None:
 
 def test_pulled_and_plugged_in_again_it_is_opened_again(adapter: Adapter) -> None:
     events: list[str] = []
-    buses = Buses([adapter.config()], Clock(), lambda kind, text: events.append(text))
+    buses = Buses([adapter.config()], Clock(), lambda kind, told: events.append(notice_sentence(told)))
     (live,) = buses.live_buses
     frames: list[Frame] = []
     until(lambda: live.connection.port is not None, lambda: _more(buses, frames))

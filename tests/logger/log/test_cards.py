@@ -18,6 +18,7 @@ from tilth.logger.display import NoDisplay
 from tilth.logger.log.runs import stored_runs
 from tilth.replay.survey import survey
 from tilth.schemas.flow import Event
+from tilth.schemas.sentences import event_sentence
 
 NAME = "rig_20260301T080000Z"
 OTHER = "rig_20260302T080000Z"
@@ -193,4 +194,4 @@ def test_one_that_was_left_unfinished_ends_no_run(tmp_path: Path) -> None:
     while not any(event.kind == "log" for event in told.events):
         daemon.turn(0.05)
     daemon.close()
-    assert "finished now: 300 messages" in told.events[-1].text
+    assert "finished now: 300 messages" in event_sentence(told.events[-1])

@@ -94,7 +94,7 @@ def test_where_the_log_needs_room_reports_go_and_no_log(when_full: str, tmp_path
         made(reports / name, 50)
     made(reports / "rig_report_2.html", 0.0)
     update = {"keep_free_megabytes": 1e12, "when_full": when_full}
-    room = Room(tmp_path, MACHINE.log.model_copy(update=update), lambda kind, text: None)
+    room = Room(tmp_path, MACHINE.log.model_copy(update=update), lambda kind, told: None)
     assert room.is_wanted(1e9, 10**10)
     room.make("current", None)
     assert left(tmp_path) == [f"reports/{name}" for name in ("mine.html", "rig_report_2.html")] + [log.name]

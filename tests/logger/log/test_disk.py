@@ -20,6 +20,7 @@ from tilth.logger.log.runs import stored_runs
 from tilth.logger.status import recording_hours
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
 
@@ -117,7 +118,7 @@ def test_a_run_ends_with_the_ignition_and_the_next_frame_begins_another(tmp_path
         run.take(frame)
     first = run.recording.run_id
     run.until(lambda: run.recording.resting)
-    event = CHANNEL["/event"].encode(Event(frames[0].t_ns, "bus", "can0: silent"))
+    event = CHANNEL["/event"].encode(Event(frames[0].t_ns, "bus", in_words("can0: silent")))
     run.recording.message("/event", frames[0].t_ns, event)
     before = sorted(tmp_path.glob("*.mcap"))
     for frame in frames[2000:]:

@@ -31,6 +31,7 @@ from tilth.logger.log.recovery import finish
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
@@ -73,7 +74,7 @@ def test_a_log_explains_itself(tmp_path: Path, machine: tuple[Machine, str]) -> 
     path = tmp_path / "a.mcap"
     writer = LogWriter(path, *machine, RUN)
     writer.frame(numbered(1)[0])
-    writer.publications([Publication(START_NS, "/event", Event(START_NS, "mark", "here"))])
+    writer.publications([Publication(START_NS, "/event", Event(START_NS, "mark", in_words("here")))])
     writer.snapshot(START_NS, "{}")
     writer.clocks(Clock(), ClockReason.START)
     writer.close()

@@ -3,6 +3,7 @@
 import pytest
 
 from tilth.logger.log.recorder_state import NEXT, Happening, RecorderState, RecorderStates
+from tilth.schemas.sentences import notice_sentence
 
 PATHS = [
     ([Happening.FILE_BEGUN, Happening.ON_DISK], RecorderState.RECORDING),
@@ -19,7 +20,7 @@ PATHS = [
 
 def recorder() -> tuple[RecorderStates, list[str]]:
     events: list[str] = []
-    return RecorderStates(lambda kind, text: events.append(f"{kind}: {text}")), events
+    return RecorderStates(lambda kind, told: events.append(f"{kind}: {notice_sentence(told)}")), events
 
 
 @pytest.mark.parametrize(("path", "state"), PATHS)

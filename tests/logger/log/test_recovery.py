@@ -158,7 +158,7 @@ def test_a_cut_while_a_file_is_being_finished(cut_short: bytes, tmp_path: Path) 
         assert said == [("log", f"x.mcap was left unfinished; finished now: {messages} messages")]
     path.unlink()
     copy.write_bytes(done)  # its file was deleted to make room
-    finish_all(tmp_path, lambda kind, text: None)
+    finish_all(tmp_path, lambda kind, told: None)
     assert list(tmp_path.iterdir()) == []
 
 

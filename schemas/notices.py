@@ -1,0 +1,127 @@
+"""What a person is told: codes with named values, never sentences. Events carry one, refusals are one.
+
+`sentences/` makes the words of them. A unit that is not SI, or is seconds of a span, is in the value's name.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from tilth.schemas.readable import readable
+from tilth.schemas.reasons import Reason
+
+
+class NoticeCode(StrEnum):
+    """What a notice says; `sentences/notices.py` has a row for each, whose fields name its values."""
+
+    TEXT = "text"  # words from elsewhere: of an old log, of a person
+    FOUND = "found"  # words of a check of the rig
+    REASON = "reason"
+    FLAG = "flag"  # a flag of poses begins
+    OVER = "over"  # and ends
+
+    # The log's time and its buses.
+    SILENCE = "silence"
+    MESSAGES_MISSING = "messages_missing"
+    STEPPED_BACK = "stepped_back"
+    COARSE_STAMPS = "coarse_stamps"
+    BUS_CLOCK_APART = "bus_clock_apart"
+    BUSES_APART = "buses_apart"
+    STRAY_FRAMES = "stray_frames"
+
+    # Who is who.
+    RECEIVER_AT = "receiver_at"  # part of others
+    ADDRESS = "address"  # part of others
+    ADDRESSES_KEPT = "addresses_kept"
+    ADDRESSES_DOUBTED = "addresses_doubted"
+    ADDRESSES_CONFIRMED = "addresses_confirmed"
+    ADDRESSES_CHANGED = "addresses_changed"
+    ADDRESSES_UNREADABLE = "addresses_unreadable"
+    RECOGNISED = "recognised"
+    NONE_FITS = "none_fits"
+    SEVERAL_FIT = "several_fit"
+    TWIN_NAME = "twin_name"
+
+    # Sensors.
+    POSITIONS_REPEATED = "positions_repeated"
+    POSITIONS_SLOW = "positions_slow"
+    STANDS_STILL = "stands_still"
+    MOVES_AGAIN = "moves_again"
+
+    # Estimators.
+    SOIL_CHANGED = "soil_changed"
+    SOIL_CHANGING = "soil_changing"
+    STIFFNESSES_ANEW = "stiffnesses_anew"
+    FACTOR = "factor"  # part of SOIL_CHANGED
+    STORED_STATE_REFUSED = "stored_state_refused"
+
+    # The daemon.
+    ACCEPTED_EARLIER = "accepted_earlier"
+    BUS_BACK = "bus_back"
+    BUS_FAILED = "bus_failed"
+    BUS_HEARD = "bus_heard"
+    BUS_LOST_FRAMES = "bus_lost_frames"
+    BUS_SILENT = "bus_silent"
+    BUS_STAMPED = "bus_stamped"
+    BUS_TROUBLE = "bus_trouble"
+    CACHE_REFUSED = "cache_refused"
+    CLOCK_SET = "clock_set"
+    CLOCK_WRONG = "clock_wrong"
+    COMPILER_FAILED = "compiler_failed"
+    COMPILES_AT_OWN_PRIORITY = "compiles_at_own_priority"
+    COMPILING = "compiling"
+    COMPILING_ANEW = "compiling_anew"
+    DELETED = "deleted"
+    DISK_SILENT = "disk_silent"
+    DISK_TROUBLE = "disk_trouble"
+    END_MISSING = "end_missing"
+    FINISHED = "finished"
+    FITS_AT_OWN_PRIORITY = "fits_at_own_priority"
+    FIT_FAILED = "fit_failed"
+    KERNELS_COMPILED = "kernels_compiled"
+    KERNELS_REFUSED = "kernels_refused"
+    LEARNED_REFUSED = "learned_refused"
+    METHOD_REFUSED = "method_refused"
+    NEW_RUN = "new_run"
+    NOT_PUBLISHED = "not_published"
+    NOT_RECORDING = "not_recording"
+    NO_REPORT = "no_report"
+    RECORDING_AGAIN = "recording_again"
+    REPORT_AT_OWN_PRIORITY = "report_at_own_priority"
+    REPORT_MADE = "report_made"
+    RESUMED = "resumed"
+    UNFINISHED = "unfinished"
+    UNLOCKED = "unlocked"
+
+
+Value = float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A code, its values by name, what it lists, and the reason that it gives."""
+
+    code: NoticeCode
+    values: Mapping[str, Value] = field(default_factory=dict)
+    parts: tuple["Notice", ...] = ()
+    reason: Reason | None = None
+
+
+Report = Callable[[str, Notice], None]
+"""Takes the kind of an event and what it tells, from any thread."""
+
+
+def notice(code: NoticeCode, *parts: Notice, **values: Value) -> Notice:
+    """With texts as they can be shown and encoded: file names are bytes on a disk."""
+    shown = {name: readable(one) if isinstance(one, str) else one for name, one in values.items()}
+    return Notice(code, shown, parts)
+
+
+def reasoned(reason: Reason) -> Notice:
+    """Of a reason alone."""
+    return Notice(NoticeCode.REASON, reason=reason)
+
+
+def in_words(text: str) -> Notice:
+    """Of words alone, as old logs have them."""
+    return notice(NoticeCode.TEXT, text=text)

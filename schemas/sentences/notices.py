@@ -1,0 +1,266 @@
+"""Words of notices (`schemas/notices.py`), and of the events that carry them."""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from tilth.schemas.flow import Event, FlagKind
+from tilth.schemas.notices import Notice, NoticeCode, Value
+from tilth.schemas.sentences.reasons import ENGLISH, sentence
+
+Words = str | Callable[[Mapping[str, Value]], str]
+"""A template of the notice's values, {parts} and {reason}; or what makes one of the values."""
+
+DAY_S: Final = 86_400.0
+
+BEGUN: Final[Mapping[str, str]] = {
+    FlagKind.LOST: "gives no usable position",
+    FlagKind.WAITING: "has given no position yet",
+    FlagKind.FLOATING: "lost its RTK fix (float)",
+    FlagKind.NO_RTK: "has no RTK fix",
+    FlagKind.NO_FIX: "has no position fix",
+    FlagKind.REPEATING: "repeats old positions",
+    FlagKind.SWAPPED: "stands in another's place: two receivers are exchanged",
+    FlagKind.MOVED: "is not where the machine file says",
+    FlagKind.DOUBTFUL: "does not fit the rig at this instant",
+    FlagKind.LATE: "is late; its position is carried on",
+    FlagKind.LATENCY: "reports later than the machine file allows, or was moved along",
+    FlagKind.SPIKES: "sends readings that jump to and fro; they are left out: look at its cable and plugs",
+    FlagKind.FIX_UNKNOWN: "has stopped telling its fix",
+}
+"""Of a flag that begins, said of its sensor."""
+BEGUN_ALONE: Final[Mapping[str, str]] = {
+    FlagKind.LATE_FRAMES: (
+        "frames came late: this computer, or the one that sends, is busy; meanwhile nothing is learned"
+    ),
+}
+"""The same, said of the rig."""
+_STANDING: Final = {
+    "velocity": "velocity", "yaw_rate": "turn rate", "heading": "heading", "roll": "roll",
+}  # fmt: skip
+
+
+def _flag(values: Mapping[str, Value]) -> str:
+    flag, of = str(values["flag"]), values["of"]
+    if flag in BEGUN_ALONE:
+        return BEGUN_ALONE[flag]
+    silent = of == "wheel_angle" and flag != FlagKind.SPIKES
+    times = f" (for the {values['times']:.0f}th time)" if "times" in values else ""
+    return f"{of} {'is silent' if silent else BEGUN[flag]}{times}"
+
+
+def _stray(values: Mapping[str, Value]) -> str:
+    frames, least_s, most_s = (float(values[name]) for name in ("frames", "least_s", "most_s"))
+    sender = f"source {values['source']:.0f}" if "source" in values else f"identifier {values['identifier']}"
+    if most_s < 0:
+        apart = f"{_between(-most_s, -least_s)} behind"
+    elif least_s > 0:
+        apart = f"{_between(least_s, most_s)} ahead of"
+    else:
+        apart = f"up to {_between(0.0, -least_s)} behind and {_between(0.0, most_s)} ahead of"
+    number = "1 frame of" if frames == 1 else f"{frames:.0f} frames of"
+    verb = "is" if frames == 1 else "are"
+    return f"{number} {sender} on {values['bus']} {verb} stamped {apart} the rest: left out"
+
+
+def _between(least_s: float, most_s: float) -> str:
+    unit_s, unit = (DAY_S, "days") if most_s >= 2 * DAY_S else (1.0, "s")
+    least, most = f"{least_s / unit_s:.1f}", f"{most_s / unit_s:.1f}"
+    return f"{most} {unit}" if least == most or not least_s else f"{least} to {most} {unit}"
+
+
+def _bus_apart(values: Mapping[str, Value]) -> str:
+    behind_s = float(values["behind_s"])
+    side = "behind" if behind_s > 0 else "ahead of"
+    return (
+        f"the clock of {values['bus']} is {_between(0.0, abs(behind_s))} {side} that of the other buses: it "
+        "is aligned by the order of the frames in the log"
+    )
+
+
+def _coarse(values: Mapping[str, Value]) -> str:
+    step_s = float(values["step_s"])
+    steps = "whole seconds" if step_s == round(step_s) else f"steps of {step_s:g} s"
+    return (
+        f"the stamps of the log are {steps}: what came within one cannot be told apart in time; record with "
+        "finer ones"
+    )
+
+
+def _stands_still(values: Mapping[str, Value]) -> str:
+    still = f"stands still: the same reading for {values['still_s']:.1f} s while the rig moved"
+    text = f"{_standing(values)} {still}"
+    if values["of"] == values["quantity"] == "wheel_angle":
+        return f"{text}. No number is given until it moves again: look at sensor, linkage, plug and cable"
+    return f"{text}. It is not used until it moves again: start the sender anew, look at its cable"
+
+
+def _standing(values: Mapping[str, Value]) -> str:
+    if values["of"] == "wheel_angle":
+        return "the wheel-angle sensor" if values["quantity"] == "wheel_angle" else "the wheels' speed"
+    return f"{values['of']}: its {_STANDING[str(values['quantity'])]}"
+
+
+def _moves_again(values: Mapping[str, Value]) -> str:
+    return f"{_standing(values)} moves again"
+
+
+def _clock_wrong(values: Mapping[str, Value]) -> str:
+    ahead_s = float(values["ahead_s"])
+    days = abs(ahead_s) / DAY_S
+    size = f"{days:.1f} days" if days > 1 else f"{abs(ahead_s):.0f} s"
+    return f"the computer's clock is {size} {'less' if ahead_s > 0 else 'more'} than UTC; the log says so"
+
+
+NOTICES: Final[Mapping[NoticeCode, Words]] = {
+    NoticeCode.TEXT: "{text}",
+    NoticeCode.FOUND: "{text}",
+    NoticeCode.REASON: "{reason}",
+    NoticeCode.FLAG: _flag,
+    NoticeCode.OVER: "{of}: over",
+    NoticeCode.SILENCE: "no frame for {silence_s:.1f} s",
+    NoticeCode.MESSAGES_MISSING: "{file}: {why}",
+    NoticeCode.STEPPED_BACK: (
+        "the clock of the log stepped back by {by_s:.1f} s; positions are aligned anew"
+    ),
+    NoticeCode.COARSE_STAMPS: _coarse,
+    NoticeCode.BUS_CLOCK_APART: _bus_apart,
+    NoticeCode.BUSES_APART: (
+        "by the UTC of the receivers the clock of {ahead} is {apart_s:.1f} s ahead of that of {behind}: what "
+        "they say does not belong together; use one clock"
+    ),
+    NoticeCode.STRAY_FRAMES: _stray,
+    NoticeCode.RECEIVER_AT: "{mount} at address {source:.0f}",
+    NoticeCode.ADDRESS: "{source:.0f} on {bus}",
+    NoticeCode.ADDRESSES_KEPT: (
+        "{bus} was silent for {silence_s:.0f} s: receivers have the addresses that they had: {parts}"
+    ),
+    NoticeCode.ADDRESSES_DOUBTED: (
+        "receivers may not have the addresses that they had: they are looked for by where they are"
+    ),
+    NoticeCode.ADDRESSES_CONFIRMED: (
+        "receivers have the addresses that they had before, as positions over {travel:.1f} m of travel "
+        "confirm: {parts}"
+    ),
+    NoticeCode.ADDRESSES_CHANGED: (
+        "receivers have other addresses than before, as positions over {travel:.1f} m of travel show: {parts}"
+    ),
+    NoticeCode.ADDRESSES_UNREADABLE: (
+        "who had which address in earlier runs is not known: {file} cannot be used ({error})"
+    ),
+    NoticeCode.RECOGNISED: (
+        "no address claim tells who is who: receivers are recognised by where they are over {travel:.1f} m "
+        "of travel: {parts}"
+    ),
+    NoticeCode.NONE_FITS: (
+        "no address claim tells who they are, nor do positions from addresses {parts}: none of their "
+        "assignments fits the rig; give them by source in the machine file, or switch them off and on"
+    ),
+    NoticeCode.SEVERAL_FIT: (
+        "no address claim tells who they are, nor do positions from addresses {parts}: more than one "
+        "assignment fits the rig; give them by source in the machine file, or switch them off and on"
+    ),
+    NoticeCode.TWIN_NAME: (
+        "two devices claim NAME {name} (addresses {source:.0f} and {other:.0f} on {bus}): it identifies "
+        "neither; give them by source in the machine file"
+    ),
+    NoticeCode.POSITIONS_REPEATED: (
+        "{of} sends each position {times:.0f} times: {per_s:.1f} a second are new, the others are left out; "
+        "set its output rate to that of its positions"
+    ),
+    NoticeCode.POSITIONS_SLOW: "{of} gives only {per_s:.1f} positions a second; set it to 5 or more",
+    NoticeCode.STANDS_STILL: _stands_still,
+    NoticeCode.MOVES_AGAIN: _moves_again,
+    NoticeCode.SOIL_CHANGED: (
+        "the soil holds the tyres differently{listed}: what was learned of it before is given up"
+    ),
+    NoticeCode.SOIL_CHANGING: (
+        "the soil holds the tyres differently: what was learned of it before is given up; by how much shows "
+        "as driving tells it"
+    ),
+    NoticeCode.STIFFNESSES_ANEW: (
+        "outputs no longer fit what {turning_s:.0f} s of turning taught: the stiffnesses are learned anew"
+    ),
+    NoticeCode.FACTOR: "{parameter} × {low:.2f} to {high:.2f}",
+    NoticeCode.STORED_STATE_REFUSED: "{file}: its stored state is not used: {why}; going on without it",
+    NoticeCode.ACCEPTED_EARLIER: (
+        "{what} is as it was accepted in an earlier run, not as the machine file says"
+    ),
+    NoticeCode.BUS_BACK: (
+        "{bus}: works again after {down_s:.1f} s (failure {failure:.0f}, opening {opening:.0f})"
+    ),
+    NoticeCode.BUS_FAILED: (
+        "{bus}: {why}; it is tried again (failure {failure:.0f}, {frames:.0f} frames until then)"
+    ),
+    NoticeCode.BUS_HEARD: "{bus}: heard again after {silence_s:.1f} s (silence {silence:.0f})",
+    NoticeCode.BUS_LOST_FRAMES: "{bus}: {frames:.0f} {what} ({in_all:.0f} in all)",
+    NoticeCode.BUS_SILENT: (
+        "{bus}: silent, no frame for {silence_s:.1f} s (silence {silence:.0f}), {frames:.0f} until then"
+    ),
+    NoticeCode.BUS_STAMPED: "{bus}: its frames are stamped by {by}",
+    NoticeCode.BUS_TROUBLE: "{bus}: {why}",
+    NoticeCode.CACHE_REFUSED: "{why}",
+    NoticeCode.CLOCK_SET: (
+        "the computer's clock was set by {by_s:+.3f} s; the log's own clock goes on evenly"
+    ),
+    NoticeCode.CLOCK_WRONG: _clock_wrong,
+    NoticeCode.COMPILER_FAILED: (
+        "the process that compiles has failed ({why}); it is done beside the recording, which takes frames "
+        "later than usual meanwhile"
+    ),
+    NoticeCode.COMPILES_AT_OWN_PRIORITY: "kernels are compiled at the recorder's own priority: {why}",
+    NoticeCode.COMPILING: (
+        "compiling kernels, once per machine: frames are recorded meanwhile, estimates follow"
+    ),
+    NoticeCode.COMPILING_ANEW: (
+        "compiling kernels, which cannot be kept here: frames are recorded meanwhile, estimates follow"
+    ),
+    NoticeCode.DELETED: "{run} was deleted to make room: {megabytes:.0f} MB",
+    NoticeCode.DISK_SILENT: "{folder}: the disk does not answer; the end of the log may be missing",
+    NoticeCode.DISK_TROUBLE: "{why}",
+    NoticeCode.END_MISSING: "the end of the log may be missing: {why}",
+    NoticeCode.FINISHED: "{file} was left unfinished; finished now: {messages:.0f} messages",
+    NoticeCode.FITS_AT_OWN_PRIORITY: "fits are made at the recorder's own priority: {why}",
+    NoticeCode.FIT_FAILED: "a fit of {method} failed: {why}",
+    NoticeCode.KERNELS_COMPILED: (
+        "kernels were compiled for {compiling_s:.0f} s while frames were recorded; estimates begin"
+    ),
+    NoticeCode.KERNELS_REFUSED: "kernels could not be prepared ({why}); estimates may come late",
+    NoticeCode.LEARNED_REFUSED: "what earlier runs learned is not used: {why}",
+    NoticeCode.METHOD_REFUSED: "what {method} learned in earlier runs is not used: {reason}",
+    NoticeCode.NEW_RUN: "ignition is on: a new run begins in {file}",
+    NoticeCode.NOT_PUBLISHED: "nothing is published: {why}; correct [zenoh] in the machine file",
+    NoticeCode.NOT_RECORDING: "not recording: {why}",
+    NoticeCode.NO_REPORT: "no report of the run so far: {why}",
+    NoticeCode.RECORDING_AGAIN: "recording again in {file}; {missed:.0f} frames were not recorded",
+    NoticeCode.REPORT_AT_OWN_PRIORITY: "the report is made at the recorder's own priority: {why}",
+    NoticeCode.REPORT_MADE: "report of the run so far: {file}",
+    NoticeCode.RESUMED: "{methods} go on from what was learned until {hours:.1f} h ago",
+    NoticeCode.UNFINISHED: "{file} was left unfinished and stays so: {why}",
+    NoticeCode.UNLOCKED: (
+        "{folder}: this file system has no locks; it is recorded all the same, but no other program can be "
+        "sure that a file is being written: do not use `tilth recover` there meanwhile"
+    ),
+}
+LANGUAGES: Final[Mapping[str, Mapping[NoticeCode, Words]]] = {ENGLISH: NOTICES}
+
+
+def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
+    """The notice in words. Raises LookupError or ValueError where it lacks a value that its words need."""
+    words = LANGUAGES[language][notice.code]
+    if not isinstance(words, str):
+        return words(notice.values)
+    parts = ", ".join(notice_sentence(part, language) for part in notice.parts)
+    return words.format(
+        **notice.values,
+        parts=parts,
+        listed=f" ({parts}, 95 %)" if parts else "",
+        reason=sentence(notice.reason, language),
+    )
+
+
+def event_sentence(event: Event, language: str = ENGLISH) -> str:
+    """What has happened, in words; of what is the rig's own also where."""
+    words = notice_sentence(event.notice, language)
+    if event.latitude_deg is None or event.longitude_deg is None or event.notice.code is NoticeCode.TEXT:
+        return words
+    return f"{words} (at {event.latitude_deg:.6f}, {event.longitude_deg:.6f})"
