@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
-from tilth.cli.unread import rejection_words, tell_unread
+from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
@@ -24,11 +24,12 @@ from tilth.replay.turn_rates import TurnRates
 from tilth.schemas.can_id import BROADCAST
 from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
-from tilth.schemas.fields import OUT_OF_RANGE
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
 from tilth.schemas.messages import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
+from tilth.schemas.rejections import Rejection
+from tilth.schemas.sentences import rejection_sentence
 
 _CLAIM = 60928
 _YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
@@ -184,7 +185,7 @@ def _json_line(message: Message) -> str:
         row |= name_words(origin.name)
     if message.dropped:
         row["dropped"] = {
-            key: {"value": value, "reason": OUT_OF_RANGE} for key, value in message.dropped.items()
+            key: {"value": value, "reason": Rejection.OUT_OF_RANGE} for key, value in message.dropped.items()
         }
     if message.reason is not None:
         row["reason"] = message.reason
@@ -196,13 +197,13 @@ def _json_line(message: Message) -> str:
 def _text_line(message: Message) -> str:
     words = [f"{word}={_short(value)}" for word, value in message.values.items()]
     words += [f"{key}=[{len(rows)}]" for key, rows in message.groups.items() if rows]
-    words += [f"({key}={_short(value)}: {OUT_OF_RANGE})" for key, value in message.dropped.items()]
+    words += [f"({key}={_short(value)}: {Rejection.OUT_OF_RANGE})" for key, value in message.dropped.items()]
     origin = message.origin
     if message.pgn == _CLAIM and origin.name is not None:
         words.append(f"({device(origin.name)})")
     if message.destination != BROADCAST:
         words.append(f"(to {message.destination})")
-    if message.reason is not None and not (message.reason == OUT_OF_RANGE and message.dropped):
+    if message.reason is not None and not (message.reason == Rejection.OUT_OF_RANGE and message.dropped):
         words.append(f"({message.reason})")
     if message.repeat:
         words.append("(repeated)")
@@ -238,7 +239,7 @@ def _tell_end(log: OpenLog, rejected: Counter[str]) -> None:
 def _tell_counts(count: Counter[str], rejected: Counter[str]) -> None:
     _say(f"{count['frames']} frames, {count['messages']} messages")
     for reason, number in sorted(rejected.items()):
-        _say(f"rejected {rejection_words(reason)}: {number}")
+        _say(f"rejected {rejection_sentence(reason)}: {number}")
 
 
 def _say(text: str) -> None:

@@ -17,7 +17,7 @@ from tilth.analysis.report.wording import SAYS
 from tilth.cli import WrongUse, add_bus_names, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
-from tilth.cli.unread import rejection_words, who
+from tilth.cli.unread import who
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.whole_file import whole
 from tilth.logger.machine_file import read_machine
@@ -35,7 +35,8 @@ from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.readable import readable
-from tilth.schemas.sentences import event_sentence, sentence
+from tilth.schemas.rejections import Rejection
+from tilth.schemas.sentences import event_sentence, rejection_sentence, sentence
 from tilth.schemas.spread import of_logarithm
 
 
@@ -235,10 +236,10 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
         f"{summary.measurements} measurements, {summary.poses} poses"
     )
     for reason, count in sorted(summary.rejected.items()):
-        console.print(f"rejected: {count} {rejection_words(reason)}")
-        for origin, messages in summary.unknown.items() if reason == "unknown_source" else ():
+        console.print(f"rejected: {count} {rejection_sentence(reason)}")
+        for origin, messages in summary.unknown.items() if reason == Rejection.UNKNOWN_SOURCE else ():
             console.print(f"    {messages} of {who(origin)}")
-        for text in summary.left_out if reason == "other_time" else ():
+        for text in summary.left_out if reason == Rejection.OTHER_TIME else ():
             console.print(f"    {text}")
     for flag, flagged in sorted(summary.flags.items()):
         console.print(f"flagged: {flagged.poses} poses {flag}")

@@ -3,8 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from tilth.estimator.pose import lateness, screen
-from tilth.schemas.decode import REASONS, Decoder, Unread
+from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Origin
 from tilth.schemas.pgn_titles import is_proprietary, title_of
@@ -53,9 +52,3 @@ def who(origin: Origin) -> str:
         return f"{origin.bus} by identifiers of 11 bits"
     place = f"{origin.bus} address {origin.source}"
     return place if origin.name is None else f"{place}, {origin.name:016X} ({device(origin.name)})"
-
-
-def rejection_words(reason: str) -> str:
-    """A reason of `Decoder.rejected` with what it means; those of readers of logs speak for themselves."""
-    words = {**REASONS, **screen.REASONS, **lateness.REASONS}.get(reason)
-    return f"{reason}: {words}" if words else reason

@@ -53,6 +53,7 @@ from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
 from tilth.schemas.reasons import Code
+from tilth.schemas.rejections import Rejection
 
 POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
 
@@ -101,13 +102,13 @@ class State:
         """Reason -> count, of frames and measurements that were not used."""
         counts = self.decoder.rejected | self.aligner.screens.rejected
         if self.aligner.lateness.late:
-            counts["late"] = self.aligner.lateness.late
+            counts[Rejection.LATE] = self.aligner.lateness.late
         if self.clock_steps:
-            counts["clock_step"] = self.clock_steps
+            counts[Rejection.CLOCK_STEP] = self.clock_steps
         if self.time.stray:
-            counts["other_time"] = self.time.stray
+            counts[Rejection.OTHER_TIME] = self.time.stray
         if self.not_numbers:
-            counts["not_a_number"] = self.not_numbers
+            counts[Rejection.NOT_A_NUMBER] = self.not_numbers
         return counts
 
 

@@ -15,6 +15,7 @@ from tilth.logger.status import bus_status, health_of, log_status, problems_of, 
 from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh.liveness import Sensors
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.rejections import Rejection
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,11 @@ def build_status(parts: RunParts, t_ns: int) -> pb.Status:
 
 def all_rejected(parts: RunParts) -> dict[str, int]:
     """Reason -> count, of all that was not used."""
-    orders = {"mark": parts.marks.marks.refused, "accept": parts.accepts.requests.refused}
-    other = {"stamp": parts.clock.bad_stamps, **orders}
+    other: dict[str, int] = {
+        Rejection.STAMP: parts.clock.bad_stamps,
+        Rejection.MARK: parts.marks.marks.refused,
+        Rejection.ACCEPT: parts.accepts.requests.refused,
+    }
     return rejected(parts.estimation.fold.rejected, parts.buses.live_buses, other)
 
 

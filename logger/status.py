@@ -6,6 +6,7 @@ from tilth.logger.can.live_bus import BusState, LiveBus
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
+from tilth.schemas.rejections import Rejection
 from tilth.schemas.states import DeviceState, RunHealth
 
 YOUNG_S = 2.0  # receivers send once a second at the slowest: before that, not heard is no problem
@@ -69,9 +70,9 @@ def rejected(
     for bus in buses:
         tally = bus.tally
         for reason, count in (
-            ("remote", tally.remote_frames),
-            ("can_fd", tally.fd_frames),
-            ("garbled", tally.garbled),
+            (Rejection.REMOTE, tally.remote_frames),
+            (Rejection.CAN_FD, tally.fd_frames),
+            (Rejection.GARBLED, tally.garbled),
         ):
             if count:
                 counts[reason] = counts.get(reason, 0) + count

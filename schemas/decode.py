@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tilth.schemas.can_id import BROADCAST, CanId, join, split
-from tilth.schemas.fields import Rows, count
+from tilth.schemas.fields import Rows
 from tilth.schemas.flow import (
     AddressClaim,
     Frame,
@@ -27,29 +27,8 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.measures import Head, Made, makers_of
 from tilth.schemas.messages import PGNS, Pgn, row
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembled, Assembler, frames_in_fast, split_fast
+from tilth.schemas.rejections import Rejection, count
 from tilth.schemas.wheel_angle import RUDDER, WheelAngleSensor, compile_sensor
-
-REASONS: dict[str, str] = {
-    "not_available": "the message says that it has no value",
-    "out_of_range": "a value outside of its physical range",
-    "short_frame": "shorter than its layout",
-    "error_frame": "an error frame of the CAN controller",
-    "unidentified": "a manufacturer's own message (65535) from an address whose manufacturer is not known",
-    "unknown_source": "from an address that is no receiver or sensor of the machine file",
-    "quarantine": "from a receiver's address that somebody else has claimed",
-    "twin_name": "from one of two devices that claim the same NAME",
-    "address_conflict": "an address claim for an address that another NAME holds",
-    "repeat": "a position that repeats the one before",
-    "magnetic": "a heading or course that counts from magnetic north",
-    "no_reference": "a heading or course that does not say which north it counts from",
-    "early_date": "a date before 2010: the receiver does not know the time yet",
-    "duplicate_frame": "an exact echo of the frame before, in a message of several frames",
-    "broken_fast_packet": "a fast packet that lost a frame or got one out of order",
-    "stale_fast_packet": "a fast packet that was not finished in time",
-    "broken_transport": "a transport-protocol message that lost a frame, got one out of order or was aborted",
-    "stale_transport": "a transport-protocol message that was not finished in time",
-}
-"""Every reason in `Decoder.rejected`, in a person's words."""
 
 _CLAIM, _RUDDER = row(60928), row(RUDDER)
 _PLAIN = {row.pgn: row for row in PGNS if row.manufacturer is None}
@@ -143,7 +122,7 @@ class Decoder:
 
     def _wheel_message(self, route: _Route, sensor: WheelAngleSensor, frame: Frame) -> Message:
         angle = sensor.read(frame.data)
-        reason = angle if isinstance(angle, str) else None
+        reason = angle if isinstance(angle, Rejection) else None
         if reason is not None:
             count(self.rejected, reason)
         return Message(
@@ -162,7 +141,7 @@ class Decoder:
         reason = next(iter(faults)) if faults else None
         head, repeat, _ = self._head(route.sender, arrival, values)
         if reason is None and known.telling.isdisjoint(values):
-            reason = "not_available"
+            reason = Rejection.NOT_AVAILABLE
             count(self.rejected, reason)
         return Message(
             *head, values, repeat, known.title, route.can_id.priority, route.can_id.destination,
@@ -187,7 +166,7 @@ class Decoder:
 
     def _route_of(self, frame: Frame, wanted: frozenset[int]) -> _Route | None:
         if frame.error:
-            count(self.rejected, "error_frame")
+            count(self.rejected, Rejection.ERROR_FRAME)
             return None
         key = (frame.bus, frame.can_id, frame.extended)
         try:
@@ -253,13 +232,13 @@ class Decoder:
 
     def _claimed(self, route: _Route, frame: Frame) -> _Arrival | None:
         if len(frame.data) < 8:
-            count(self.rejected, "short_frame")
+            count(self.rejected, Rejection.SHORT_FRAME)
             return None
         name = int.from_bytes(frame.data[:8], "little")
         reason = self._addresses.claim(frame.bus, route.can_id.source, name, frame.t_ns)
         if reason is not None:
             count(self.rejected, reason)
-        if reason == "not_available":
+        if reason == Rejection.NOT_AVAILABLE:
             return None
         return (_CLAIM, frame.data, frame.t_ns, frame.rx_ns)
 
@@ -270,7 +249,7 @@ class Decoder:
             if len(payload) >= 2:
                 found = _PROPRIETARY.get((int.from_bytes(payload[:2], "little") & 0x7FF, pgn, None))
         elif sender.manufacturer is None:
-            count(self.rejected, "unidentified")
+            count(self.rejected, Rejection.UNIDENTIFIED)
         elif payload:
             found = _PROPRIETARY.get((sender.manufacturer, pgn, payload[0]))
         if found is None:
@@ -285,7 +264,7 @@ class Decoder:
         faulty = bool(faults)
         if faulty:
             for reason, number in faults.items():
-                self.rejected[reason] = self.rejected.get(reason, 0) + number
+                count(self.rejected, reason, number)
             faults.clear()
         repeat = False
         if known.position is not None and "latitude_deg" in values and "longitude_deg" in values:
@@ -323,14 +302,14 @@ class Decoder:
             if made is None:
                 continue
             nothing = False
-            if isinstance(made, str):
+            if isinstance(made, Rejection):
                 count(self.rejected, made)
             else:
                 found.append(made)
         if repeat:
-            count(self.rejected, "repeat")
+            count(self.rejected, Rejection.REPEAT)
         elif nothing:
-            count(self.rejected, "not_available")
+            count(self.rejected, Rejection.NOT_AVAILABLE)
 
     def _hear(self, sender: Sender, arrival: _Arrival) -> None:
         """Keep a position of a sender that may be a receiver whose address is not known."""
@@ -342,16 +321,16 @@ class Decoder:
 
     def _refuse(self, sender: Sender) -> None:
         """Count a message that would make a measurement if it came from a receiver of the machine file."""
-        reason = sender.reason if sender.sd is None else "unknown_source"
+        reason = sender.reason if sender.sd is None else Rejection.UNKNOWN_SOURCE
         count(self.rejected, reason)
-        if reason == "unknown_source":
+        if reason == Rejection.UNKNOWN_SOURCE:
             sender.unknown += 1
 
     def _measure_wheel(
         self, route: _Route, sensor: WheelAngleSensor, frame: Frame, found: list[Measurement]
     ) -> None:
         angle = sensor.read(frame.data)
-        if isinstance(angle, str):
+        if isinstance(angle, Rejection):
             count(self.rejected, angle)
             return
         head = (frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None)

@@ -14,17 +14,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tilth.schemas.flow import Word
+from tilth.schemas.rejections import Rejection, count
 
 DEG = math.pi / 180.0
 KMH = 1.0 / 3.6
-
-
-OUT_OF_RANGE = "out_of_range"  # why a value is dropped
-
-
-def count(rejected: dict[str, int], reason: str) -> None:
-    """Count one rejected item under its reason."""
-    rejected[reason] = rejected.get(reason, 0) + 1
 
 
 def _nmea2000(bits: int, signed: bool) -> int:
@@ -248,7 +241,7 @@ class Layout:
                 continue
             whole = min(repeats, max(0, len(payload) - group.start) // group.size)
             if whole < repeats:
-                count(rejected, "short_frame")
+                count(rejected, Rejection.SHORT_FRAME)
             starts = range(group.start, group.start + whole * group.size, group.size)
             found[group.key] = [layout.decode(payload[at : at + group.size], rejected) for at in starts]
         return found
@@ -262,7 +255,7 @@ class Layout:
             try:
                 joined = rule.join(values) if all(part in values for part in rule.parts) else None
             except ValueError:
-                count(rejected, OUT_OF_RANGE)
+                count(rejected, Rejection.OUT_OF_RANGE)
                 joined = None
                 if dropped is not None:
                     dropped[rule.key] = " ".join(f"{part}={values[part]:g}" for part in rule.parts)
@@ -284,7 +277,7 @@ class Layout:
         dropped: dict[str, Word] | None = None,
     ) -> dict[str, Word]:
         if len(payload) < self._needed:
-            count(rejected, "short_frame")
+            count(rejected, Rejection.SHORT_FRAME)
             steps = [step for step in steps if step.end <= 8 * len(payload)]
         whole = int.from_bytes(payload, "little")
         values: dict[str, Word] = {}
@@ -306,7 +299,7 @@ class Layout:
             if low <= value <= high:
                 values[key] = value
             else:
-                count(rejected, OUT_OF_RANGE)
+                count(rejected, Rejection.OUT_OF_RANGE)
                 if dropped is not None:
                     dropped[key] = value
         return {} if len(values) == 1 and self._says_no_data(values, whole) else values

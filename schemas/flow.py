@@ -99,7 +99,7 @@ class Message:
     destination: int = 255  # 255: everybody
     groups: Mapping[str, Sequence[Mapping[str, Word]]] = field(default_factory=dict)  # what it repeats
     dropped: Mapping[str, Word] = field(default_factory=dict)  # words outside of their range
-    reason: str | None = None  # why there is no value, or not every one; a key of schemas.decode.REASONS
+    reason: str | None = None  # why there is no value, or not every one: a Rejection
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from tilth.schemas.fields import DEG
 from tilth.schemas.flow import EventKind, Mount, Origin
 from tilth.schemas.machine import Receiver
 from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.rejections import Rejection
 
 CONTENTION_NS = 250_000_000  # a holder answers within this (SAE J1939-81, 4.2.2)
 LATELY_NS = 5_000_000_000
@@ -64,7 +65,7 @@ class Sender:
     origin: Origin
     manufacturer: int | None = None
     sd: Deviation | None = None  # of the receiver that it is; None: it is none of the machine file
-    reason: str = "unknown_source"  # why it is none
+    reason: Rejection = Rejection.UNKNOWN_SOURCE  # why it is none
     unknown: int = 0  # messages that made no measurement for that reason
     received_ns: int = 0  # the latest message or claim from it
     contested: bool = False  # two NAMEs claim it, or its NAME has left: ask `settle` whether that is over
@@ -173,10 +174,10 @@ class AddressBook:
             return None
         return self._by_name.get((bus, name)) or self._bus(bus).adopted.get(name)
 
-    def claim(self, bus: str, source: int, name: int, t_ns: int) -> str | None:
+    def claim(self, bus: str, source: int, name: int, t_ns: int) -> Rejection | None:
         """Take an address claim. Returns a reason to count where it is contested or invalid."""
         if name == NO_NAME or source > NULL_ADDRESS:
-            return "not_available"
+            return Rejection.NOT_AVAILABLE
         book = self._bus(bus)
         self._settle_due(book, bus, t_ns)
         if name not in book.twins:
@@ -195,7 +196,7 @@ class AddressBook:
             book.claimed.add(source)
             self.sender(bus, source).received_ns = t_ns
             if holder is not None and holder != name:
-                contested = "address_conflict"
+                contested = Rejection.ADDRESS_CONFLICT
         self._refresh_bus(bus)
         return contested
 
@@ -368,9 +369,11 @@ class AddressBook:
             sender.manufacturer = split_name(name).manufacturer
         elif mount is not None:
             sender.manufacturer = _manufacturer(self._receivers[mount])
-        sender.reason = "quarantine" if contest or sender.source in book.ours else "unknown_source"
+        sender.reason = Rejection.UNKNOWN_SOURCE
         if name in book.twins:
-            sender.reason = "twin_name"
+            sender.reason = Rejection.TWIN_NAME
+        elif contest or sender.source in book.ours:
+            sender.reason = Rejection.QUARANTINE
 
     def _who(self, book: _Bus, bus: str, source: int) -> tuple[int | None, Mount | None]:
         """NAME and receiver of an address, as far as known."""

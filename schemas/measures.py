@@ -24,6 +24,7 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.identity import Deviation
 from tilth.schemas.messages import Pgn
+from tilth.schemas.rejections import Rejection
 
 Head = tuple[int, int, Origin, int, int | None]
 """t_ns, rx_ns, origin, pgn, sid."""
@@ -34,7 +35,7 @@ EARLIEST_UTC_NS = 1_262_304_000_000_000_000  # 2010-01-01
 LOWEST_M, HIGHEST_M = -1000.0, 10_000.0  # of an altitude on land
 
 Values = Mapping[str, Any]
-Made = Measurement | str | None
+Made = Measurement | Rejection | None
 """A measurement; the reason why there is none; or None: its words were not available."""
 
 
@@ -64,7 +65,7 @@ def _referred(make: Callable[[Head, Values, Deviation, bool], Made]) -> Callable
         reference = values.get("heading_reference")
         if measurement is None or reference == "true":
             return measurement
-        return "magnetic" if reference == "magnetic" else "no_reference"
+        return Rejection.MAGNETIC if reference == "magnetic" else Rejection.NO_REFERENCE
 
     return made
 
@@ -113,7 +114,7 @@ def _time_of(row: Pgn) -> Callable[..., Made]:
         utc_ns = values.get("utc_ns")
         if utc_ns is None:
             return None
-        return UtcTime(*head, utc_ns, resolution) if utc_ns >= EARLIEST_UTC_NS else "early_date"
+        return UtcTime(*head, utc_ns, resolution) if utc_ns >= EARLIEST_UTC_NS else Rejection.EARLY_DATE
 
     return utc_time
 

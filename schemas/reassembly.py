@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from tilth.schemas.can_id import CanId
-from tilth.schemas.fields import count
 from tilth.schemas.flow import Frame
+from tilth.schemas.rejections import Rejection, count
 
 TP_CONTROL = 60416
 TP_DATA = 60160
@@ -75,17 +75,17 @@ class Assembler:
         """The message that this fast-packet frame completes, if it does."""
         data = frame.data
         if len(data) < 2:
-            count(self._rejected, "short_frame")
+            count(self._rejected, Rejection.SHORT_FRAME)
             return None
         key = (frame.bus, can_id.source, can_id.destination, can_id.pgn, data[0] >> 5)
         index = data[0] & 31
         slot = self._fresh(key, frame.t_ns)
         if slot is not None and data == slot.latest:
-            count(self._rejected, "duplicate_frame")
+            count(self._rejected, Rejection.DUPLICATE_FRAME)
             return None
         if index == 0:
             if slot is not None and slot.open:
-                count(self._rejected, "broken_fast_packet")
+                count(self._rejected, Rejection.BROKEN_FAST_PACKET)
             slot = self._open(key, frame, FAST, can_id.pgn, data[1], FAST_TIMEOUT_NS)
             if data[1] > _FAST_LONGEST:
                 self._spoil(slot)
@@ -101,7 +101,7 @@ class Assembler:
         """A TP.CM frame: announcement, request, end or abort of a transfer."""
         data = frame.data
         if len(data) < 8:
-            count(self._rejected, "short_frame")
+            count(self._rejected, Rejection.SHORT_FRAME)
             return
         control = data[0]
         pgn = int.from_bytes(data[5:8], "little") & 0x3FFFF
@@ -128,7 +128,7 @@ class Assembler:
             return None
         if data == slot.latest:
             if slot.open:
-                count(self._rejected, "duplicate_frame")
+                count(self._rejected, Rejection.DUPLICATE_FRAME)
             return None
         if slot.open and data[0] != slot.expected:
             self._spoil(slot)
@@ -140,9 +140,9 @@ class Assembler:
         before = self._fresh(key, frame.t_ns)
         if before is not None and before.open:
             if data == before.latest:
-                count(self._rejected, "duplicate_frame")
+                count(self._rejected, Rejection.DUPLICATE_FRAME)
                 return
-            count(self._rejected, "broken_transport")
+            count(self._rejected, Rejection.BROKEN_TRANSPORT)
         timeout_ns = BAM_TIMEOUT_NS if data[0] == _BAM else RTS_TIMEOUT_NS
         slot = self._open(key, frame, TRANSPORT, pgn, length, timeout_ns)
         slot.expected, slot.latest = 1, data
@@ -170,7 +170,7 @@ class Assembler:
         if slot is None or abs(t_ns - slot.last_ns) <= slot.timeout_ns:
             return slot
         if slot.open:
-            count(self._rejected, f"stale_{slot.kind}")
+            count(self._rejected, Rejection(f"stale_{slot.kind}"))
         del self._slots[key]
         return None
 
@@ -179,7 +179,7 @@ class Assembler:
         while len(self._slots) >= SLOTS:
             oldest = self._slots.pop(next(iter(self._slots)))
             if oldest.open:
-                count(self._rejected, f"stale_{oldest.kind}")
+                count(self._rejected, Rejection(f"stale_{oldest.kind}"))
         slot = _Slot(kind, pgn, length, frame.t_ns, frame.rx_ns, frame.t_ns, timeout_ns, 0)
         self._slots[key] = slot
         return slot
@@ -187,7 +187,7 @@ class Assembler:
     def _spoil(self, slot: _Slot) -> None:
         slot.open = False
         slot.data.clear()
-        count(self._rejected, f"broken_{slot.kind}")
+        count(self._rejected, Rejection(f"broken_{slot.kind}"))
 
     def _append(self, slot: _Slot, frame: Frame, data: bytes) -> Assembled | None:
         slot.last_ns = frame.t_ns

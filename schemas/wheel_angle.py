@@ -19,6 +19,7 @@ from tilth.schemas.fields import DEG
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, MachineError, WheelAngle
 from tilth.schemas.messages import row
+from tilth.schemas.rejections import Rejection
 
 RUDDER = 127245
 _PGN_AND_SOURCE = 0x03FFFFFF
@@ -84,26 +85,26 @@ class WheelAngleSensor:
             and (frame.can_id ^ self.can_id) & self.mask == 0
         )
 
-    def read(self, data: bytes) -> float | str:
+    def read(self, data: bytes) -> float | Rejection:
         """Mean road-wheel angle in rad, positive right; or the reason why there is none."""
         raw = self.bits.read(data)
         if raw is None:
-            return "short_frame"
+            return Rejection.SHORT_FRAME
         if self.instance is not None and data[0] != self.instance:
-            return "unknown_source"
+            return Rejection.UNKNOWN_SOURCE
         if self.no_data[0] <= raw <= self.no_data[1]:
-            return "not_available"
+            return Rejection.NOT_AVAILABLE
         if self.bits.signed and raw >> self.bits.bits - 1:
             raw -= 1 << self.bits.bits
         reading = raw * self.scale + self.offset
         if self.lookup:
             looked_up = _between(self.lookup, reading)
             if looked_up is None:
-                return "out_of_range"
+                return Rejection.OUT_OF_RANGE
             reading = looked_up
         angle = (self.sign * reading - self.zero) * DEG
         if not -math.pi / 2 < angle < math.pi / 2:
-            return "out_of_range"
+            return Rejection.OUT_OF_RANGE
         return linkage_angle(angle, self.curve, self.ackermann)
 
     def data(self, angle: float) -> bytes:

@@ -33,6 +33,7 @@ from tilth.schemas.flow import (
 )
 from tilth.schemas.machine import Machine, Receiver
 from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.rejections import Rejection, count
 
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
@@ -199,7 +200,7 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
     if not math.hypot(*at) <= FARTHEST_FROM_ORIGIN:  # also where the plane has no numbers
         drove_there = track.positions and math.dist(at, track.positions[-1][1:3]) <= ORIGIN_AGREEMENT
         if not drove_there and not _is_elsewhere(track, here):
-            state.screens.reject("spike", 1)
+            count(state.screens.rejected, Rejection.SPIKE)
             return
         _set_origin(state, here, position.rx_ns)
         at = (0.0, 0.0)

@@ -19,9 +19,6 @@ MEMORY: Final = 200.0  # intervals over which the usual one is averaged
 DOUBT_NS: Final = 1_000_000_000
 """After a heap: poses up to here may rest on it, and a busy computer is busy again soon."""
 
-REASONS: Final = {"late": "a frame that came late: this computer, or the one that sends, was busy"}
-"""Reasons of `State.rejected`, in a person's words."""
-
 
 @dataclass(slots=True)
 class Arrivals:

@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 
 from tilth.estimator.pose.geometry import Vector, wrap
 from tilth.schemas.flow import Flag, FlagKind
+from tilth.schemas.rejections import Rejection, count
 
 Reading = tuple[int, float, float, float]
 """t_ns, a value, a second one or 0, sd of each."""
@@ -54,12 +55,6 @@ KNOWN_RUNS: Final = 100  # runs of equal readings after which it is known how lo
 SHORTEST: Final = 5  # readings; a run no longer than this is nothing unusual
 LONGER: Final = 2  # times the longest run so far
 
-REASONS: Final = {
-    "spike": "a reading further from its neighbours than anything can move in between: cable, plug or sensor",
-    "stands_still": "a reading that has stayed the same to the bit while the rig moves",
-}
-"""Reasons of `Screens.rejected`, in a person's words."""
-
 
 @dataclass(slots=True)
 class SensorScreen:
@@ -88,7 +83,7 @@ class Screens:
     """All of a rig, and what they have left out."""
 
     by: dict[str, SensorScreen] = field(default_factory=dict)  # "who quantity" -> screen
-    rejected: dict[str, int] = field(default_factory=dict)  # key of REASONS -> readings
+    rejected: dict[str, int] = field(default_factory=dict)  # Rejection -> readings
     late: bool = False  # frames come late just now (lateness.py)
 
     def clock_stepped(self) -> None:
@@ -116,7 +111,7 @@ class Screens:
         _count_run(screen, reading, moving)
         # A pose needs the wheel angle: one that may yet be right is refused by record_builder only.
         if screen.failed or (screen.stands and quantity != "wheel_angle"):
-            self.reject("stands_still", 1)
+            count(self.rejected, Rejection.STANDS_STILL)
             return []
         return self._decide(screen, reading, LIMITS[quantity], (0.0, 0.0))
 
@@ -129,10 +124,6 @@ class Screens:
         elapsed = abs(reading[0] - (screen.last or reading)[0]) * 1e-9
         rate = POSITION_SHARE * math.hypot(*velocity) + POSITION_ACCELERATION * (elapsed + STAMP_S)
         return self._decide(screen, reading, RateLimits(rate), velocity)
-
-    def reject(self, reason: str, number: int) -> None:
-        """Count readings that are not used."""
-        self.rejected[reason] = self.rejected.get(reason, 0) + number
 
     def _decide(
         self, screen: SensorScreen, reading: Reading, limits: RateLimits, velocity: Vector
@@ -160,7 +151,7 @@ class Screens:
 
     def _leave_out(self, screen: SensorScreen) -> None:
         if screen.waiting and not self.late:  # else the computer is to blame, and they are counted as late
-            self.reject("spike", len(screen.waiting))
+            count(self.rejected, Rejection.SPIKE, len(screen.waiting))
             for _ in screen.waiting:
                 _note(screen, True)
         screen.waiting.clear()

@@ -37,7 +37,7 @@ def flag_events(
             out.append((flag.kind, notice(NoticeCode.FLAG, flag=flag.kind, of=flag.of, **again)))
     for flag in before:
         if flag not in now and flag.kind in ENDS and _is_told(times, flag):
-            out.append((flag.kind, notice(NoticeCode.OVER, flag=flag.kind, of=flag.of)))
+            out.append((flag.kind, notice(NoticeCode.OVER, of=flag.of)))
     return out
 
 

@@ -58,7 +58,7 @@ export class Traces {
   }
 
   setEvents(events) {
-    this.events = events.filter((event) => MARKED.has(event.kind) && !event.text.endsWith(": over"));
+    this.events = events.filter((event) => MARKED.has(event.kind) && event.notice?.code !== "over");
     this.draw();
   }
 

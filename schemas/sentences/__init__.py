@@ -7,3 +7,4 @@ from tilth.schemas.sentences.notices import event_sentence as event_sentence
 from tilth.schemas.sentences.notices import notice_sentence as notice_sentence
 from tilth.schemas.sentences.reasons import SENTENCES as SENTENCES
 from tilth.schemas.sentences.reasons import sentence as sentence
+from tilth.schemas.sentences.rejections import rejection_sentence as rejection_sentence

@@ -1,14 +1,18 @@
 """Words of notices (`schemas/notices.py`), and of the events that carry them."""
 
 from collections.abc import Callable, Mapping
+from inspect import Parameter, signature
+from string import Formatter
 from typing import Final
 
 from tilth.schemas.flow import Event, FlagKind
-from tilth.schemas.notices import Notice, NoticeCode, Value
+from tilth.schemas.notices import Notice, NoticeCode
 from tilth.schemas.sentences.reasons import ENGLISH, sentence
 
-Words = str | Callable[[Mapping[str, Value]], str]
-"""A template of the notice's values, {parts} and {reason}; or what makes one of the values."""
+Words = str | Callable[..., str]
+"""A template of a notice's values, {parts}, {listed} and {reason}; or what makes words of the values."""
+MADE: Final = frozenset({"parts", "listed", "reason"})
+"""Fields of a template that are no values."""
 
 DAY_S: Final = 86_400.0
 
@@ -39,27 +43,32 @@ _STANDING: Final = {
 }  # fmt: skip
 
 
-def _flag(values: Mapping[str, Value]) -> str:
-    flag, of = str(values["flag"]), values["of"]
+def _flag(*, flag: str, of: str, times: float = 1.0) -> str:
     if flag in BEGUN_ALONE:
         return BEGUN_ALONE[flag]
     silent = of == "wheel_angle" and flag != FlagKind.SPIKES
-    times = f" (for the {values['times']:.0f}th time)" if "times" in values else ""
-    return f"{of} {'is silent' if silent else BEGUN[flag]}{times}"
+    again = f" (for the {times:.0f}th time)" if times > 1.0 else ""
+    return f"{of} {'is silent' if silent else BEGUN[flag]}{again}"
 
 
-def _stray(values: Mapping[str, Value]) -> str:
-    frames, least_s, most_s = (float(values[name]) for name in ("frames", "least_s", "most_s"))
-    sender = f"source {values['source']:.0f}" if "source" in values else f"identifier {values['identifier']}"
+def _stray(
+    *,
+    bus: str,
+    frames: float,
+    least_s: float,
+    most_s: float,
+    source: float | None = None,
+    identifier: str = "",
+) -> str:
+    sender = f"identifier {identifier}" if source is None else f"source {source:.0f}"
     if most_s < 0:
         apart = f"{_between(-most_s, -least_s)} behind"
     elif least_s > 0:
         apart = f"{_between(least_s, most_s)} ahead of"
     else:
         apart = f"up to {_between(0.0, -least_s)} behind and {_between(0.0, most_s)} ahead of"
-    number = "1 frame of" if frames == 1 else f"{frames:.0f} frames of"
-    verb = "is" if frames == 1 else "are"
-    return f"{number} {sender} on {values['bus']} {verb} stamped {apart} the rest: left out"
+    number, verb = ("1 frame", "is") if frames == 1 else (f"{frames:.0f} frames", "are")
+    return f"{number} of {sender} on {bus} {verb} stamped {apart} the rest: left out"
 
 
 def _between(least_s: float, most_s: float) -> str:
@@ -68,17 +77,15 @@ def _between(least_s: float, most_s: float) -> str:
     return f"{most} {unit}" if least == most or not least_s else f"{least} to {most} {unit}"
 
 
-def _bus_apart(values: Mapping[str, Value]) -> str:
-    behind_s = float(values["behind_s"])
+def _bus_apart(*, bus: str, behind_s: float) -> str:
     side = "behind" if behind_s > 0 else "ahead of"
     return (
-        f"the clock of {values['bus']} is {_between(0.0, abs(behind_s))} {side} that of the other buses: it "
-        "is aligned by the order of the frames in the log"
+        f"the clock of {bus} is {_between(0.0, abs(behind_s))} {side} that of the other buses: it is aligned "
+        "by the order of the frames in the log"
     )
 
 
-def _coarse(values: Mapping[str, Value]) -> str:
-    step_s = float(values["step_s"])
+def _coarse(*, step_s: float) -> str:
     steps = "whole seconds" if step_s == round(step_s) else f"steps of {step_s:g} s"
     return (
         f"the stamps of the log are {steps}: what came within one cannot be told apart in time; record with "
@@ -86,26 +93,25 @@ def _coarse(values: Mapping[str, Value]) -> str:
     )
 
 
-def _stands_still(values: Mapping[str, Value]) -> str:
-    still = f"stands still: the same reading for {values['still_s']:.1f} s while the rig moved"
-    text = f"{_standing(values)} {still}"
-    if values["of"] == values["quantity"] == "wheel_angle":
+def _stands_still(*, of: str, quantity: str, still_s: float) -> str:
+    still = f"stands still: the same reading for {still_s:.1f} s while the rig moved"
+    text = f"{_standing(of, quantity)} {still}"
+    if of == quantity == "wheel_angle":
         return f"{text}. No number is given until it moves again: look at sensor, linkage, plug and cable"
     return f"{text}. It is not used until it moves again: start the sender anew, look at its cable"
 
 
-def _standing(values: Mapping[str, Value]) -> str:
-    if values["of"] == "wheel_angle":
-        return "the wheel-angle sensor" if values["quantity"] == "wheel_angle" else "the wheels' speed"
-    return f"{values['of']}: its {_STANDING[str(values['quantity'])]}"
+def _standing(of: str, quantity: str) -> str:
+    if of == "wheel_angle":
+        return "the wheel-angle sensor" if quantity == "wheel_angle" else "the wheels' speed"
+    return f"{of}: its {_STANDING[quantity]}"
 
 
-def _moves_again(values: Mapping[str, Value]) -> str:
-    return f"{_standing(values)} moves again"
+def _moves_again(*, of: str, quantity: str) -> str:
+    return f"{_standing(of, quantity)} moves again"
 
 
-def _clock_wrong(values: Mapping[str, Value]) -> str:
-    ahead_s = float(values["ahead_s"])
+def _clock_wrong(*, ahead_s: float) -> str:
     days = abs(ahead_s) / DAY_S
     size = f"{days:.1f} days" if days > 1 else f"{abs(ahead_s):.0f} s"
     return f"the computer's clock is {size} {'less' if ahead_s > 0 else 'more'} than UTC; the log says so"
@@ -245,10 +251,11 @@ LANGUAGES: Final[Mapping[str, Mapping[NoticeCode, Words]]] = {ENGLISH: NOTICES}
 
 
 def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
-    """The notice in words. Raises LookupError or ValueError where it lacks a value that its words need."""
+    """The notice in words. Raises LookupError, ValueError or TypeError where its values are not those that
+    its words need."""
     words = LANGUAGES[language][notice.code]
     if not isinstance(words, str):
-        return words(notice.values)
+        return words(**notice.values)
     parts = ", ".join(notice_sentence(part, language) for part in notice.parts)
     return words.format(
         **notice.values,
@@ -256,6 +263,16 @@ def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
         listed=f" ({parts}, 95 %)" if parts else "",
         reason=sentence(notice.reason, language),
     )
+
+
+def values_of(code: NoticeCode) -> list[str]:
+    """Names of the values that a notice has; a "?" follows one that it may lack."""
+    words = NOTICES[code]
+    if isinstance(words, str):
+        fields = [name for _, name, _, _ in Formatter().parse(words) if name]
+        return list(dict.fromkeys(name for name in fields if name not in MADE))
+    rows = signature(words).parameters.values()
+    return [row.name if row.default is Parameter.empty else f"{row.name}?" for row in rows]
 
 
 def event_sentence(event: Event, language: str = ENGLISH) -> str:

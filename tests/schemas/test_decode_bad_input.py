@@ -9,12 +9,14 @@ from paths import ROOT, SHARED
 
 from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
-from tilth.schemas.decode import REASONS, ROUTES, Decoder, claim, encode, frames_of
+from tilth.schemas.decode import ROUTES, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Message
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.messages import PGNS
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA
+from tilth.schemas.rejections import Rejection
+from tilth.schemas.sentences.rejections import REJECTIONS
 from tilth.schemas.words import WORDS
 
 CANBOAT = SHARED / "data" / "canboat"
@@ -63,7 +65,7 @@ def any_frames(draw: st.DrawFn) -> list[Frame]:
 
 
 def check(found: list[Message] | list[Measurement], frame: Frame, decoder: Decoder) -> None:
-    assert decoder.rejected.keys() <= REASONS.keys()
+    assert decoder.rejected.keys() <= set(Rejection)
     for item in found:
         assert item.origin.bus == frame.bus
         if isinstance(item, Message):
@@ -170,5 +172,6 @@ def test_receivers_that_say_nothing_but_not_available_make_no_measurement() -> N
 
 
 def test_reasons_are_sentences_for_people() -> None:
-    for reason, sentence in REASONS.items():
+    assert REJECTIONS.keys() == set(Rejection)
+    for reason, sentence in REJECTIONS.items():
         assert reason.replace("_", "").isalpha() and len(sentence) > 20 and "_" not in sentence

@@ -7,11 +7,12 @@ import pytest
 from paths import ROOT
 
 from tilth.schemas import can_id, flow
-from tilth.schemas.decode import REASONS, Decoder, claim, encode, frames_of
+from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.measures import MAKERS
 from tilth.schemas.messages import PGNS, Pgn
+from tilth.schemas.rejections import Rejection
 from tilth.schemas.words import WORDS
 
 RIG = parse_machine(
@@ -197,7 +198,7 @@ def test_what_is_left_out_is_counted(
     subject = decoder()
     assert measurements_of(subject, pgn, values, selector) == []
     assert subject.rejected == {reason: 1}
-    assert reason in REASONS
+    assert reason in set(Rejection)
 
 
 def test_a_repeated_position_is_marked_and_counted() -> None:

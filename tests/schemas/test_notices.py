@@ -1,0 +1,157 @@
+"""Notices: every code has words, every one that is made has the values that its words need."""
+
+import ast
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paths import ROOT
+
+from tilth.client.received import event_of
+from tilth.deploy.imports import sources
+from tilth.schemas.channels import CHANNEL, without_wording
+from tilth.schemas.flow import Event, EventKind, FlagKind
+from tilth.schemas.notices import Notice, NoticeCode, in_words, notice, reasoned
+from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences import event_sentence, notice_sentence
+from tilth.schemas.sentences import notices as words
+
+ENCODING = "application/protobuf;tilth.Event"
+TEXTS = {
+    "bus": "can0", "flag": FlagKind.LOST, "of": "tractor_rear", "quantity": "heading",
+    "mount": "tractor_rear", "identifier": "0x123", "parameter": "C_af",
+}  # fmt: skip
+"""Values that must be one of some texts; those of WORDS may be any; all others are numbers."""
+WORDS = {
+    "text",
+    "why",
+    "error",
+    "file",
+    "name",
+    "run",
+    "folder",
+    "method",
+    "methods",
+    "what",
+    "by",
+    "ahead",
+    "behind",
+}
+
+
+def value_of(name: str) -> float | str:
+    return TEXTS.get(name, f"some {name}" if name in WORDS else 3.0)
+
+
+def filled(code: NoticeCode, optional: bool = True) -> Notice:
+    """With all that its words want."""
+    names = [name for name in words.values_of(code) if optional or not name.endswith("?")]
+    if code is NoticeCode.STRAY_FRAMES and optional:
+        names.remove("identifier?")
+    values = {name.rstrip("?"): value_of(name.rstrip("?")) for name in names}
+    part = Notice(NoticeCode.ADDRESS, {"source": 28.0, "bus": "can0"})
+    return Notice(code, values, (part, part), Reason(Code.NO_RTK))
+
+
+@pytest.mark.parametrize("code", NoticeCode)
+def test_every_code_has_words(code: NoticeCode) -> None:
+    text = notice_sentence(filled(code))
+    assert text and text == text.strip() and "{" not in text and not text.endswith(".")
+
+
+def _made() -> Iterator[tuple[str, ast.Call]]:
+    """Where `notice(NoticeCode.…, …)` is written in the product."""
+    for module, source in sources().items():
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "notice" and node.args:
+                yield f"{module}:{node.lineno}", node
+
+
+def test_every_notice_that_is_made_has_the_values_that_its_words_want() -> None:
+    seen: set[str] = set()
+    for place, node in _made():
+        first = ast.unparse(node.args[0])
+        names = {word.arg for word in node.keywords}
+        if not first.startswith("NoticeCode.") or " if " in first or None in names:
+            continue  # chosen where it runs: of the tests of that module
+        code = NoticeCode[first.removeprefix("NoticeCode.")]
+        wanted = words.values_of(code)
+        assert names <= {name.rstrip("?") for name in wanted}, place
+        assert {name for name in wanted if not name.endswith("?")} <= names, place
+        seen.add(code)
+    assert len(seen) > 0.7 * len(NoticeCode)
+
+
+def test_no_code_is_only_there_in_case() -> None:
+    text = "".join(source for name, source in sources().items() if name != "schemas.notices")
+    used = text.replace("schemas.sentences", "")
+    unused = [code.name for code in NoticeCode if used.count(f"NoticeCode.{code.name}") < 2]
+    kinds = {NoticeCode.POSITIONS_REPEATED.name, NoticeCode.POSITIONS_SLOW.name}  # by EventKind's value
+    here = {NoticeCode.TEXT.name, NoticeCode.REASON.name}  # made in schemas.notices
+    assert set(unused) <= kinds | here
+
+
+@pytest.mark.parametrize("code", NoticeCode)
+@pytest.mark.parametrize("optional", [True, False])
+def test_what_is_published_is_heard_as_it_was(code: NoticeCode, optional: bool) -> None:
+    if code is NoticeCode.STRAY_FRAMES and not optional:
+        return  # one of its two senders is there
+    event = Event(7, EventKind.LOG, filled(code, optional), 43.5, -83.4)
+    data = CHANNEL["/event"].encode(event)
+    assert event_of(data, ENCODING) == event
+    assert pb.Event.FromString(data).text == event_sentence(event)
+
+
+def test_a_place_is_told_but_of_words_of_others() -> None:
+    found = Event(1, EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING), 43.5, -83.25)
+    assert event_sentence(found).endswith(" (at 43.500000, -83.250000)")
+    assert event_sentence(Event(1, EventKind.MARK, in_words("stone"), 43.5, -83.25)) == "stone"
+
+
+def test_an_event_of_an_old_log_and_one_of_a_later_version_are_heard_in_the_words_sent() -> None:
+    old = pb.Event(t_ns=1, kind="gap", text="no frame for 12.0 s")
+    later = pb.Event(t_ns=1, kind="gap", text="Funkstille")
+    later.notice.code = "not_known_here"
+    lacking = pb.Event(t_ns=1, kind="gap", text="Funkstille")
+    lacking.notice.code = NoticeCode.SILENCE
+    for sent in (old, later, lacking):
+        heard = event_of(sent.SerializeToString(), ENCODING)
+        assert heard.notice == in_words(sent.text) and event_sentence(heard) == sent.text
+
+
+@given(st.text(), st.floats(), st.text())
+def test_whatever_a_notice_holds_nothing_is_raised(code: str, number: float, text: str) -> None:
+    sent = pb.Event(t_ns=1, kind="log", text="words")
+    for part in (sent.notice, sent.notice.parts.add()):
+        part.code = code if text else NoticeCode.STRAY_FRAMES
+        part.values.add(name=text, number=number)
+        part.values.add(name="frames", text=text)
+        part.reason.code = code
+    assert event_sentence(event_of(sent.SerializeToString(), ENCODING))
+
+
+def test_other_words_are_the_same_event() -> None:
+    event = Event(1, EventKind.GAP, notice(NoticeCode.SILENCE, silence_s=12.0))
+    one, other = (pb.Event.FromString(CHANNEL["/event"].encode(event)) for _ in range(2))
+    other.text = "Funkstille"
+    assert one != other and without_wording(one) == without_wording(other)
+    other.notice.values[0].number = 13.0
+    assert without_wording(one) != without_wording(other)
+
+
+def test_names_of_files_can_be_encoded() -> None:
+    """They are bytes on a disk."""
+    event = Event(1, EventKind.LOG, notice(NoticeCode.NEW_RUN, file="caf\udce9.mcap"))
+    assert r"caf\udce9" in pb.Event.FromString(CHANNEL["/event"].encode(event)).text
+
+
+def test_a_reason_is_told_in_its_words() -> None:
+    assert notice_sentence(reasoned(Reason(Code.FIT_DROPPED))).startswith("a fit was not ready")
+
+
+def test_kinds_are_listed() -> None:
+    page = (ROOT / "docs" / "notation.md").read_text(encoding="utf-8")
+    section = page.partition("## Kinds of events")[2].partition("\n## ")[0]
+    assert all(f"`{kind}`" in section for kind in EventKind)
