@@ -38,7 +38,7 @@ REJECTIONS: Final[Mapping[str, str]] = {
     Rejection.OTHER_TIME: "a frame whose stamp is away from the log's time",
     Rejection.NOT_A_NUMBER: "a measurement of which a value is no number",
     Rejection.REMOTE: "a remote frame: it asks for data and has none",
-    Rejection.CAN_FD: "a CAN FD frame",
+    Rejection.CAN_FD: "a frame of CAN FD, which is not read here",
     Rejection.GARBLED: "a line of an adapter that cannot be read",
     Rejection.STAMP: "a stamp of an adapter that cannot be: the computer's is used",
     Rejection.MARK: "a mark that was refused",
