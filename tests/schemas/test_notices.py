@@ -62,7 +62,7 @@ def test_every_code_has_words(code: NoticeCode) -> None:
 
 
 def _made() -> Iterator[tuple[str, NoticeCode, set[str]]]:
-    """Where the product makes notices: place, code, names of the values; not those that are named as it runs."""
+    """Where the product makes notices: place, code, names of the values, where these stand there."""
     for module, source in sources().items():
         for node in ast.walk(ast.parse(source)):
             names = {word.arg for word in node.keywords} if isinstance(node, ast.Call) else {None}
