@@ -47,6 +47,9 @@ class NoticeCode(StrEnum):
     POSITIONS_SLOW = "positions_slow"
     STANDS_STILL = "stands_still"
     MOVES_AGAIN = "moves_again"
+    NOT_HEARD = "not_heard"
+    NO_WHEEL_ANGLE = "no_wheel_angle"
+    WITHOUT_RTK = "without_rtk"
 
     # Estimators.
     SOIL_CHANGED = "soil_changed"

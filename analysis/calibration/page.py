@@ -2,7 +2,7 @@
 
 import math
 
-from tilth.analysis.calibration.run import Calibrated
+from tilth.analysis.calibration.run import Calibrated, not_by_driving
 from tilth.analysis.report.document import (
     WARNING,
     DriveReport,
@@ -156,5 +156,5 @@ def _file(found: Calibrated) -> ReportSection:
     lines = [line for line in found.difference(("before", "after")).splitlines() if line[:1] in "+-"][2:]
     rows = tuple((ReportCell({"+": "new", "-": "old"}[line[0]]), ReportCell(line[1:])) for line in lines)
     table = ReportTable("file", "Lines that change in the machine file", ("", "line"), rows)
-    asked = [ReportText(text) for text in found.sentences() if text.startswith("Not by driving")]
+    asked = map(ReportText, not_by_driving())
     return ReportSection("file", "Machine file", (table, *asked))

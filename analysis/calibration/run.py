@@ -81,7 +81,7 @@ class Calibrated:
         return [
             *self.verdict.sentences,
             f"What these numbers leave uncertain of soil and tyres (95 %, of this drive): {soil}.",
-            *(f"Not by driving: {what}: {how}." for what, how in NOT_BY_DRIVING),
+            *not_by_driving(),
             *self.notes,
         ]
 
@@ -128,6 +128,11 @@ class Calibrated:
             "sentences": self.sentences(),
             "machine_file": self.after,
         }  # fmt: skip
+
+
+def not_by_driving() -> list[str]:
+    """What no drive tells, and how it is found, in sentences."""
+    return [f"Not by driving: {what}: {how}." for what, how in NOT_BY_DRIVING]
 
 
 def calibrate_logs(

@@ -21,6 +21,7 @@ from tilth.estimator.calibration.receivers import STANDING, HeardReceivers
 from tilth.estimator.pose.geometry import to_plane
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,6 @@ class StageTally:
     swings: int = 0  # of the implement from one side to the other
     weaved: list[int] = field(default_factory=lambda: [0, 0])  # instants, slowly and quickly
     moving: int = 0  # instants of driving with everything heard
-    refused: dict[str, int] = field(default_factory=dict)  # why instants did not count -> how many
 
 
 class SeenNow(NamedTuple):
@@ -81,7 +81,7 @@ class StageFold:
     doing: str = ""  # the stage that the last instant counts for
     lately: str = ""  # the one that an instant counted for last
     lately_tick: int = 0  # and when
-    trouble: str = ""  # why it does not count, in words
+    trouble: Notice | None = None  # why it does not count
     tally: StageTally = field(default_factory=StageTally)
     senders: HeardReceivers = field(default_factory=HeardReceivers)
 
@@ -143,9 +143,7 @@ def _count(state: StageFold) -> None:
     """The instant that has ended."""
     assert state.tick is not None
     state.doing, state.trouble = "", _trouble(state)
-    if state.trouble:
-        refused = state.tally.refused
-        refused[state.trouble] = refused.get(state.trouble, 0) + 1
+    if state.trouble is not None:
         _interrupt(state)
         return
     _count_seen(state, _seen(state))
@@ -176,24 +174,24 @@ def _count_seen(state: StageFold, now: SeenNow) -> None:
     _count_weaving(state, rate, speed)
 
 
-def _trouble(state: StageFold) -> str:
-    """Why nothing can be learned now, "" where it can."""
+def _trouble(state: StageFold) -> Notice | None:
+    """Why nothing can be learned now, None where it can."""
     assert state.tick is not None
     heard = (state.places, state.velocities)
     fresh = [all(_is_fresh(state.tick, table.get(mount)) for table in heard) for mount in MOUNTS]
     silent = [mount.value for mount, is_fresh in zip(MOUNTS, fresh, strict=True) if not is_fresh]
     if silent:
-        return f"not heard: {_listed(silent)}"
+        return notice(NoticeCode.NOT_HEARD, mounts=_listed(silent))
     without = [
         mount.value
         for mount in MOUNTS
         if mount in state.fixes and state.fixes[mount][1] is not FixType.RTK_FIXED
     ]
     if without:
-        return f"without RTK fix: {_listed(without)}"
+        return notice(NoticeCode.WITHOUT_RTK, mounts=_listed(without))
     if state.wheel_tick is None or state.tick - state.wheel_tick > OLD_TICKS:
-        return "not heard: the wheel angle"
-    return ""
+        return notice(NoticeCode.NO_WHEEL_ANGLE)
+    return None
 
 
 def _is_fresh(tick: int, row: tuple[int, float, float] | None) -> bool:

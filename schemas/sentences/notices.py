@@ -176,6 +176,9 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.POSITIONS_SLOW: "{of} gives only {per_s:.1f} positions a second; set it to 5 or more",
     NoticeCode.STANDS_STILL: _stands_still,
     NoticeCode.MOVES_AGAIN: _moves_again,
+    NoticeCode.NOT_HEARD: "not heard: {mounts}",
+    NoticeCode.NO_WHEEL_ANGLE: "not heard: the wheel angle",
+    NoticeCode.WITHOUT_RTK: "without RTK fix: {mounts}",
     NoticeCode.SOIL_CHANGED: (
         "the soil holds the tyres differently{listed}: what was learned of it before is given up"
     ),
