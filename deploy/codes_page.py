@@ -7,6 +7,7 @@ from typing import Final
 
 from tilth.schemas.flow import FlagKind
 from tilth.schemas.notices import NoticeCode
+from tilth.schemas.reasons import Code
 from tilth.schemas.sentences.notices import NOTICES, values_of
 from tilth.schemas.sentences.reasons import SENTENCES
 from tilth.schemas.sentences.rejections import REJECTIONS
@@ -17,8 +18,8 @@ _HEAD: Final = """# Codes
 
 Written by `python -m tilth.deploy.generate` from [schemas/reasons.py](../schemas/reasons.py),
 [schemas/notices.py](../schemas/notices.py), [schemas/rejections.py](../schemas/rejections.py) and
-[schemas/sentences/](../schemas/sentences/). Programs decide by codes; the words are for people and may change.
-`…` stands for a value. Kinds of events and flags of poses are in [notation.md](notation.md).
+[schemas/sentences/](../schemas/sentences/). Programs decide by codes; the words are for people and may
+change. `…` stands for a value. Kinds of events and flags of poses are in [notation.md](notation.md).
 """
 
 
@@ -28,10 +29,11 @@ class _Blank(float):
 
 
 _REASONS: Final = """Why there is no number, or why it must not be used: `why` of a parameter, `chosen` of an
-estimate. `of` and `numbers` are what stands for `…`; [schemas/reasons.py](../schemas/reasons.py) says what they are."""
+estimate. `of` and `numbers` are what stands for `…`; [schemas/reasons.py](../schemas/reasons.py) says what
+they are."""
 _NOTICES: Final = """What an event tells: its `notice`. A value that may be absent has a `?`."""
-_REJECTIONS: Final = """Why frames, messages or measurements were not used: the keys of `rejected`. Readers of logs have
-further ones ([logs.md](logs.md))."""
+_REJECTIONS: Final = """Why frames, messages or measurements were not used: the keys of `rejected`. Readers of logs
+have further ones ([logs.md](logs.md))."""
 
 
 def text() -> str:
@@ -44,7 +46,7 @@ def text() -> str:
     )
 
 
-def _rows(words: Mapping[str, str]) -> list[Sequence[str]]:
+def _rows(words: Mapping[Code, str] | Mapping[str, str]) -> list[Sequence[str]]:
     return [(f"`{code}`", _blank(template)) for code, template in sorted(words.items())]
 
 
