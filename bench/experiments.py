@@ -43,6 +43,7 @@ from tilth.schemas.experiment import AnyRun, DrivingLimits, ExperimentPlan, Rect
 from tilth.schemas.flow import PARAMETERS, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, Spatial
@@ -126,7 +127,9 @@ def drive_plan(machine: Machine, plan: ExperimentPlan, scenario: Scenario, seed:
     starts = {text.removesuffix(" start"): at for at, text in one.marks if text.endswith(" start")}
     cuts = [(starts[text.removesuffix(" end")], at) for at, text in one.marks if text.endswith(" end")]
     fits = [fit_segment(machine, part, (pem.METHOD,)) for part in driven_between(machine, truth, cuts)]
-    reasons = tuple(attempt.reason for attempt in one.prompt.attempts if attempt.outcome != "done")
+    reasons = tuple(
+        notice_sentence(attempt.why) for attempt in one.prompt.attempts if attempt.why is not None
+    )
     steering = tuple(drive.scheduled.run.seconds for drive in course.drives)
     return DrivenPlan(tuple(fits), steering, len(one.prompt.attempts), reasons)
 

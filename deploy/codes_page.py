@@ -32,8 +32,8 @@ _REASONS: Final = """Why there is no number, or why it must not be used: `why` o
 estimate. `of` and `numbers` are what stands for `…`; [schemas/reasons.py](../schemas/reasons.py) says what
 they are."""
 _NOTICES: Final = """What an event tells: its `notice`. A value that may be absent has a `?`."""
-_REJECTIONS: Final = """Why frames, messages or measurements were not used: the keys of `rejected`. Readers of logs
-have further ones ([logs.md](logs.md))."""
+_REJECTIONS: Final = """Why frames, messages or measurements were not used: the keys of `rejected`. Readers of
+logs have further ones ([logs.md](logs.md))."""
 
 
 def text() -> str:

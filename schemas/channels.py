@@ -137,8 +137,9 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
     return message.SerializeToString()
 
 
-def _notice(notice: Notice) -> pb.Notice:
-    message = pb.Notice(code=notice.code, parts=map(_notice, notice.parts))
+def notice_message(notice: Notice) -> pb.Notice:
+    """As it is published."""
+    message = pb.Notice(code=notice.code, parts=map(notice_message, notice.parts))
     for name, value in notice.values.items():
         if isinstance(value, str):
             message.values.add(name=name, text=value)
@@ -151,7 +152,7 @@ def _notice(notice: Notice) -> pb.Notice:
 
 def _encode_event(event: flow.Event) -> bytes:
     message = pb.Event(
-        t_ns=event.t_ns, kind=event.kind, text=event_sentence(event), notice=_notice(event.notice)
+        t_ns=event.t_ns, kind=event.kind, text=event_sentence(event), notice=notice_message(event.notice)
     )
     _set_present(message, event, ("latitude_deg", "longitude_deg", "utc_ns"))
     return message.SerializeToString()

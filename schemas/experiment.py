@@ -9,6 +9,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
@@ -19,6 +20,26 @@ from tilth.schemas.sentence import sentence
 
 class PlanError(Exception):
     """The plan is wrong; the text says where and what to do."""
+
+
+class Phase(StrEnum):
+    """Where the prompting of a run stands."""
+
+    IDLE = "idle"
+    LINING_UP = "lining_up"
+    COUNTDOWN = "countdown"
+    RUNNING = "running"
+    NOTING = "noting"
+    FINISHED = "finished"
+
+
+class Outcome(StrEnum):
+    """What became of one try of a run."""
+
+    DONE = "done"
+    ABORTED = "aborted"
+    DISTURBED = "disturbed"
+    SKIPPED = "skipped"
 
 
 KINDS: Final = ("step", "steps", "chirp", "random", "multisine", "turn")  # rows of MANOEUVRES

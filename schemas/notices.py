@@ -96,6 +96,31 @@ class NoticeCode(StrEnum):
     UNFINISHED = "unfinished"
     UNLOCKED = "unlocked"
 
+    # Why a run of an experiment is not done.
+    BACKWARDS = "backwards"
+    BEYOND_BRAKING = "beyond_braking"
+    BEYOND_LATERAL = "beyond_lateral"
+    BEYOND_WHEELS = "beyond_wheels"
+    BY_THE_DRIVER = "by_the_driver"
+    END_NOT_CONFIRMED = "end_not_confirmed"
+    END_REFUSED = "end_refused"
+    FIELD_ENDS = "field_ends"
+    FOLLOWED_LITTLE = "followed_little"
+    NOT_WITH_THE_BAR = "not_with_the_bar"
+    NO_POSE_FOR = "no_pose_for"
+    OFF_THE_BAR = "off_the_bar"
+    POSE_UNKNOWN = "pose_unknown"
+    PROMPTER_ENDED = "prompter_ended"
+    PROMPTER_ENDED_EARLY = "prompter_ended_early"
+    RECEIVERS_LOST = "receivers_lost"
+    RTK_LOST = "rtk_lost"
+    START_NOT_CONFIRMED = "start_not_confirmed"
+    START_REFUSED = "start_refused"
+    STOPPED = "stopped"
+    TOO_FAST = "too_fast"
+    TOO_SLOW = "too_slow"
+    WHEELS_NOT_HEARD = "wheels_not_heard"
+
 
 Value = float | str
 

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from tilth.estimator.models.nonlinear import STATES
+from tilth.schemas.experiment import Phase
 from tilth.simulator.noise import generator
 
 ARM, STOP = "arm", "stop"
@@ -23,7 +24,7 @@ IN_LINE: Final = math.radians(2.0)
 BEYOND_M: Final = 55.0  # past the lane's end, before he turns round: in line again when he is back
 PATIENCE_S: Final = 4.0  # with too little room ahead he gives up and turns round
 ERROR_S: Final = 1.0  # correlation time of his error
-FREE: Final = ("", "idle", "finished")  # phases in which he goes where he likes; "": nobody prompts
+FREE: Final = ("", Phase.IDLE, Phase.FINISHED)  # phases in which he goes where he likes; "": nobody prompts
 STANDING: Final = 0.1  # m/s
 
 
@@ -74,28 +75,28 @@ class PromptedDriver:
         elapsed, self._last = now - self._last, now
         keep = math.exp(-max(elapsed, 0.0) / ERROR_S)
         self._error = keep * self._error + math.sqrt(1.0 - keep**2) * self.person.error * self._rng.normal()
-        if bar.phase == "running" and now >= self._away_until:
+        if bar.phase == Phase.RUNNING and now >= self._away_until:
             if self._rng.random() < self.person.looks_away * elapsed:
                 self._away_until = now + self._rng.uniform(*self.person.away_s)
                 self.looked_away += 1
             self._seen.append((now, bar.wanted))
-        if bar.phase != "running":
+        if bar.phase != Phase.RUNNING:
             self._seen.clear()
             self._away_until = -math.inf
         along, across, off = self._on_lane(x)
-        self._no_room_s = self._no_room_s + elapsed if bar.phase == "lining_up" and not bar.room else 0.0
+        self._no_room_s = self._no_room_s + elapsed if bar.phase == Phase.LINING_UP and not bar.room else 0.0
         if self._no_room_s > PATIENCE_S and not self.turning:
             self.turning = True
             return STOP
         on_lane = abs(across) < ON_LANE_M and abs(off) < IN_LINE and not self.turning
-        if bar.phase == "idle" and on_lane and 0.0 < along < self.lane[3] and bar.room:
+        if bar.phase == Phase.IDLE and on_lane and 0.0 < along < self.lane[3] and bar.room:
             self._armed = True
             return ARM
         return ""
 
     def hands(self, now: float, bar: Bar, x: np.ndarray) -> float:
         """Where he wants the wheels, rad."""
-        if bar.phase != "running":
+        if bar.phase != Phase.RUNNING:
             self._target = self._steering(x, bar)
             return self._target
         while len(self._seen) > 1 and self._seen[1][0] <= now - self.person.lag_s:

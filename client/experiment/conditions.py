@@ -7,6 +7,8 @@ from typing import Final, NamedTuple
 from tilth.client.experiment.sight import FieldPlace, Seen, room_left
 from tilth.estimator.models.planned_run import Way
 from tilth.schemas.experiment import AnyRun, ExperimentPlan
+from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.sentences import notice_sentence
 
 STEADY_S: Final = 2.0  # so long
 SPEED_SHARE: Final = 0.07  # of the speed wanted, at least SPEED_LEAST
@@ -36,11 +38,15 @@ def of(
     now = track[-1]
     lately, long = _lately(track)
     return (
-        Condition("receivers", not now.trouble, now.trouble or "receivers are well"),
+        Condition("receivers", now.trouble is None, _well(now.trouble)),
         _speed(lately, run, long),
         _straight(drives_straight(track)),
         _room(now, run, way, plan, place, slack),
     )
+
+
+def _well(trouble: Notice | None) -> str:
+    return "receivers are well" if trouble is None else notice_sentence(trouble)
 
 
 def _speed(lately: Sequence[Seen], run: AnyRun, long: bool) -> Condition:
@@ -85,10 +91,9 @@ def _room(
     return Condition("room", True, f"room ahead, {max(left, 0.0):.0f} m to spare")
 
 
-def speed_fault(speed: float, wanted: float) -> str:
-    """Why a run cannot go on at this speed, "" where it can."""
-    if not speed >= SLOWEST_SHARE * wanted:
-        return f"only {3.6 * speed:.1f} km/h, the run is driven at {3.6 * wanted:.1f}"
-    if speed > FASTEST_SHARE * wanted:
-        return f"{3.6 * speed:.1f} km/h, the run is driven at {3.6 * wanted:.1f}"
-    return ""
+def speed_fault(speed: float, wanted: float) -> Notice | None:
+    """Why a run cannot go on at this speed, None where it can."""
+    if SLOWEST_SHARE * wanted <= speed <= FASTEST_SHARE * wanted:
+        return None
+    code = NoticeCode.TOO_FAST if speed > wanted else NoticeCode.TOO_SLOW
+    return notice(code, speed_kmh=3.6 * speed, wanted_kmh=3.6 * wanted)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.models.planned_run import DT
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 Array = NDArray[np.float64]
 
@@ -60,10 +61,10 @@ def followed(angles: Array, t_s: Array, measured: Array) -> Followed:
     return min(found, key=lambda one: one.left) if found else Followed(1.0, 0.0, 0.0)
 
 
-def disturbed(made: Followed) -> str:
-    """Why a run is to be driven again, "" where it need not."""
+def disturbed(made: Followed) -> Notice | None:
+    """Why a run is to be driven again, None where it need not."""
     if made.share < LEAST_SHARE:
-        return f"the wheels followed only {max(made.share, 0.0):.0%} of the bar"
+        return notice(NoticeCode.FOLLOWED_LITTLE, share=max(made.share, 0.0))
     if made.left > MOST_LEFT:
-        return f"the wheels did not go with the bar: {made.left:.0%} of it is left over"
-    return ""
+        return notice(NoticeCode.NOT_WITH_THE_BAR, left=made.left)
+    return None

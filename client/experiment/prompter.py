@@ -30,13 +30,13 @@ from tilth.client.experiment.sight import (
 )
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.planned_run import DT, Scheduled, Way, check, drives, way
-from tilth.schemas.experiment import ExperimentPlan
+from tilth.schemas.experiment import ExperimentPlan, Outcome, Phase
+from tilth.schemas.notices import Notice, NoticeCode, in_words, notice
+from tilth.schemas.sentences import notice_sentence
 
 Array = NDArray[np.float64]
 
-IDLE, LINING_UP, COUNTDOWN, RUNNING, NOTING, FINISHED = (
-    "idle", "lining_up", "countdown", "running", "noting", "finished",
-)  # fmt: skip
+IDLE, LINING_UP, COUNTDOWN, RUNNING, NOTING, FINISHED = Phase
 ARM, STOP, SKIP = "arm", "stop", "skip"
 ORDERS: Final = (ARM, STOP, SKIP)
 LEAD_S: Final = 1.0  # straight, marked, before the planned run: a filter settles
@@ -70,18 +70,18 @@ class Course:
 
 
 class Attempt(NamedTuple):
-    """What became of one try. outcome: done, aborted, disturbed or skipped."""
+    """What became of one try, and why it is not done."""
 
     name: str
-    outcome: str
-    reason: str
+    outcome: Outcome
+    why: Notice | None
 
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
     """Where a plan stands."""
 
-    phase: str = IDLE
+    phase: Phase = IDLE
     at: int = 0  # which drive
     tries: int = 1  # of this one, with the present
     since_s: float = 0.0  # when the phase began, s of the poses' clock
@@ -131,7 +131,6 @@ class Leave(NamedTuple):
 
 
 Input = Seen | Tick | Order | Marked | Anew | Leave
-LEFT: Final = "the prompter was ended"
 
 
 def course_of(plan: ExperimentPlan, rig: Rig) -> Course:
@@ -208,11 +207,11 @@ def _see(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark
 def _tick(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
     silent_s = prompt.now_s - prompt.track[-1].t_s if prompt.track else 0.0
     if prompt.phase == RUNNING and silent_s > SILENT_S:
-        return _end(prompt, course, "aborted", f"no pose has come for {silent_s:.1f} s")
+        return _end(prompt, course, Outcome.ABORTED, notice(NoticeCode.NO_POSE_FOR, silence_s=silent_s))
     if prompt.phase == RUNNING and not prompt.recorded and prompt.now_s - prompt.since_s > START_MARK_S:
-        return _end(prompt, course, "aborted", "the daemon has not confirmed the mark at its start")
+        return _end(prompt, course, Outcome.ABORTED, notice(NoticeCode.START_NOT_CONFIRMED))
     if prompt.phase == NOTING and prompt.now_s - prompt.since_s > MARK_S:
-        return _end(prompt, course, "disturbed", "the daemon has not confirmed the mark at its end")
+        return _end(prompt, course, Outcome.DISTURBED, notice(NoticeCode.END_NOT_CONFIRMED))
     if prompt.phase == RUNNING and run_s(prompt) + LEAD_S > _length(prompt, course):
         return _complete(prompt, course)
     if prompt.phase in (LINING_UP, COUNTDOWN):
@@ -233,7 +232,7 @@ def _order(prompt: Prompt, course: Course, kind: str) -> tuple[Prompt, tuple[Mar
         lining_up = replace(prompt, phase=LINING_UP, since_s=prompt.now_s, said=said, armed=armed)
         return _begin_field(lining_up, course)
     if kind == STOP and prompt.phase == RUNNING:
-        return _end(prompt, course, "aborted", "stopped by the driver")
+        return _end(prompt, course, Outcome.ABORTED, notice(NoticeCode.STOPPED))
     if kind == STOP and prompt.phase in (LINING_UP, COUNTDOWN):
         said = "Stopped. Arm it when you are ready."
         return replace(prompt, phase=IDLE, since_s=prompt.now_s, said=said), ()
@@ -248,12 +247,12 @@ def _marked(prompt: Prompt, course: Course, marked: Marked) -> tuple[Prompt, tup
     name = name_of(prompt, course) if prompt.at < len(course.drives) else ""
     if prompt.phase == RUNNING and marked.text == f"{name} start":
         if marked.refusal:
-            return _end(prompt, course, "aborted", f"the start is not in the log: {marked.refusal}")
+            return _end(prompt, course, Outcome.ABORTED, notice(NoticeCode.START_REFUSED, why=marked.refusal))
         return replace(prompt, recorded=True), ()
     if prompt.phase == NOTING and marked.text == f"{name} end":
         if marked.refusal:
-            return _end(prompt, course, "disturbed", f"the end is not in the log: {marked.refusal}")
-        return _next(prompt, course, "done", ""), ()
+            return _end(prompt, course, Outcome.DISTURBED, notice(NoticeCode.END_REFUSED, why=marked.refusal))
+        return _next(prompt, course, Outcome.DONE, None), ()
     return prompt, ()
 
 
@@ -263,7 +262,7 @@ def _anew(prompt: Prompt, course: Course, why: str) -> tuple[Prompt, tuple[Mark,
         return prompt, ()
     marks = [Mark(f"experiment {course.plan.name} seed {course.plan.seed} goes on: {why}")]
     if prompt.phase in (RUNNING, NOTING):
-        prompt, ended = _end(prompt, course, "aborted", why)
+        prompt, ended = _end(prompt, course, Outcome.ABORTED, in_words(why))
         marks += ended
     else:
         said = f"{why[0].upper()}{why[1:]}. The plan goes on: arm the run when you are ready."
@@ -277,10 +276,10 @@ def _leave(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
         return prompt, ()
     marks: tuple[Mark, ...] = ()
     if prompt.phase == RUNNING:
-        prompt, marks = _end(prompt, course, "aborted", LEFT)
+        prompt, marks = _end(prompt, course, Outcome.ABORTED, notice(NoticeCode.PROMPTER_ENDED))
     elif prompt.phase == NOTING:
-        reason = f"{LEFT} before the daemon confirmed the mark at its end"
-        prompt, marks = _end(prompt, course, "disturbed", reason)
+        early = notice(NoticeCode.PROMPTER_ENDED_EARLY)
+        prompt, marks = _end(prompt, course, Outcome.DISTURBED, early)
     return replace(prompt, said="The prompter was ended."), marks
 
 
@@ -331,10 +330,10 @@ def _beside(seen: Seen, armed: Seen | None) -> Seen:
 def _while_running(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, tuple[Mark, ...]]:
     plan, drive = course.plan, course.drives[prompt.at]
     recent = tuple(one for one in prompt.track if seen.t_s - one.t_s <= KEPT_S)
-    reason = abort_reason(plan.limits, plan.field, prompt.place, recent)
-    reason = reason or conditions.speed_fault(seen.speed, drive.scheduled.run.speed)
-    if reason:
-        return _end(prompt, course, "aborted", reason)
+    why = abort_reason(plan.limits, plan.field, prompt.place, recent)
+    why = why or conditions.speed_fault(seen.speed, drive.scheduled.run.speed)
+    if why is not None:
+        return _end(prompt, course, Outcome.ABORTED, why)
     t_s = seen.t_s - prompt.since_s - LEAD_S
     off = off_the_bar(drive.angles, t_s, seen.wheel_angle)
     off_s = 0.0
@@ -342,8 +341,8 @@ def _while_running(prompt: Prompt, course: Course, seen: Seen) -> tuple[Prompt, 
         off_s = prompt.off_s + seen.t_s - prompt.track[-2].t_s
     prompt = replace(prompt, off_s=off_s)
     if off_s > plan.limits.off_the_bar_s:
-        where = f"{math.degrees(off):.0f}° off the bar for {off_s:.1f} s"
-        return _end(prompt, course, "disturbed", f"the wheels were {where}")
+        away = notice(NoticeCode.OFF_THE_BAR, off_deg=math.degrees(off), off_s=off_s)
+        return _end(prompt, course, Outcome.DISTURBED, away)
     if t_s + LEAD_S > drive.seconds:
         return _complete(prompt, course)
     return prompt, ()
@@ -353,20 +352,20 @@ def _complete(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]
     """The run has ended by itself: was it followed, and is its beginning in the log?"""
     drive = course.drives[prompt.at]
     t_s = np.array([one.t_s for one in prompt.track]) - prompt.since_s - LEAD_S
-    reason = disturbed(followed(drive.angles, t_s, np.array([one.wheel_angle for one in prompt.track])))
-    if not reason and not prompt.recorded:
-        reason = "the daemon has not confirmed the mark at its start"
-    if reason:
-        return _end(prompt, course, "disturbed", reason)
+    why = disturbed(followed(drive.angles, t_s, np.array([one.wheel_angle for one in prompt.track])))
+    if why is None and not prompt.recorded:
+        why = notice(NoticeCode.START_NOT_CONFIRMED)
+    if why is not None:
+        return _end(prompt, course, Outcome.DISTURBED, why)
     noting = replace(prompt, phase=NOTING, since_s=prompt.now_s, said="Done: the mark is written.")
     return noting, (Mark(f"{name_of(prompt, course)} end"),)
 
 
-def _end(prompt: Prompt, course: Course, outcome: str, reason: str) -> tuple[Prompt, tuple[Mark, ...]]:
+def _end(prompt: Prompt, course: Course, outcome: Outcome, why: Notice) -> tuple[Prompt, tuple[Mark, ...]]:
     """Not done: it is said why, noted, and driven again once the driver arms it."""
-    name = name_of(prompt, course)
-    attempt = Attempt(name, outcome, reason)
-    word = "Broken off" if outcome == "aborted" else "Disturbed"
+    name, reason = name_of(prompt, course), notice_sentence(why)
+    attempt = Attempt(name, outcome, why)
+    word = "Broken off" if outcome is Outcome.ABORTED else "Disturbed"
     again = replace(
         prompt, phase=IDLE, since_s=prompt.now_s, tries=prompt.tries + 1,
         attempts=(*prompt.attempts, attempt),
@@ -377,12 +376,13 @@ def _end(prompt: Prompt, course: Course, outcome: str, reason: str) -> tuple[Pro
 
 def _skip(prompt: Prompt, course: Course) -> tuple[Prompt, tuple[Mark, ...]]:
     """Left out, which is noted."""
-    mark = Mark(f"{name_of(prompt, course)} skipped (by the driver)")
-    return _next(prompt, course, "skipped", "by the driver"), (mark,)
+    why = notice(NoticeCode.BY_THE_DRIVER)
+    mark = Mark(f"{name_of(prompt, course)} {Outcome.SKIPPED} ({notice_sentence(why)})")
+    return _next(prompt, course, Outcome.SKIPPED, why), (mark,)
 
 
-def _next(prompt: Prompt, course: Course, outcome: str, reason: str) -> Prompt:
-    attempts = (*prompt.attempts, Attempt(name_of(prompt, course), outcome, reason))
+def _next(prompt: Prompt, course: Course, outcome: Outcome, why: Notice | None) -> Prompt:
+    attempts = (*prompt.attempts, Attempt(name_of(prompt, course), outcome, why))
     at = prompt.at + 1
     over = at == len(course.drives)
     said = f"{outcome.capitalize()}. Arm the next run when you are ready and have room ahead."
@@ -397,5 +397,5 @@ def _next(prompt: Prompt, course: Course, outcome: str, reason: str) -> Prompt:
 
 def skipped_of(attempts: Sequence[Attempt], of: int) -> str:
     """How many of so many runs were skipped, in words; "" for none."""
-    skipped = sum(one.outcome == "skipped" for one in attempts)
+    skipped = sum(one.outcome is Outcome.SKIPPED for one in attempts)
     return f"{skipped} of {of} runs {'was' if skipped == 1 else 'were'} skipped" if skipped else ""

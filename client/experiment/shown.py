@@ -10,13 +10,17 @@ from tilth.client.experiment.prompter import (
     LEAD_S,
     LINING_UP,
     RUNNING,
+    Attempt,
     Course,
     Prompt,
     conditions_of,
     drive_at,
     run_s,
 )
+from tilth.schemas.channels import notice_message
+from tilth.schemas.experiment import Outcome
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.sentences import notice_sentence
 
 AHEAD_S: Final = 4.0  # of the bar, so that a driver sees what comes
 APART_S: Final = 0.1
@@ -30,8 +34,8 @@ def shown(prompt: Prompt, course: Course) -> pb.ExperimentState:
         plan=course.plan.name, phase=prompt.phase, done=prompt.at, of=len(course.drives),
         text=prompt.said or "Arm the first run when you are ready: it starts nothing by itself.",
         t_ns=round(1e9 * max(prompt.now_s, 0.0)),
-        skipped=sum(one.outcome == "skipped" for one in prompt.attempts),
-        attempts=[pb.ExperimentAttempt(**one._asdict()) for one in prompt.attempts[-ATTEMPTS:]],
+        skipped=sum(one.outcome is Outcome.SKIPPED for one in prompt.attempts),
+        attempts=map(_attempt, prompt.attempts[-ATTEMPTS:]),
     )  # fmt: skip
     measured = prompt.track[-1].wheel_angle if prompt.track else math.nan
     if math.isfinite(measured):
@@ -66,3 +70,11 @@ def _begins_s(prompt: Prompt, course: Course) -> float:
     if prompt.phase == COUNTDOWN:
         return prompt.now_s - prompt.since_s - course.plan.countdown_s - LEAD_S
     return -AHEAD_S
+
+
+def _attempt(one: Attempt) -> pb.ExperimentAttempt:
+    shown = pb.ExperimentAttempt(name=one.name, outcome=one.outcome)
+    if one.why is not None:
+        shown.reason = notice_sentence(one.why)
+        shown.why.CopyFrom(notice_message(one.why))
+    return shown

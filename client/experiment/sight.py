@@ -1,6 +1,7 @@
 """What a prompter sees of the driving: one pose, judged, and what it may not go on with."""
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from tilth.estimator.models.planned_run import room
 from tilth.estimator.pose.geometry import rotate, to_degrees, to_plane
 from tilth.schemas.experiment import DrivingLimits, Rectangle
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 Array = NDArray[np.float64]
 
@@ -31,7 +33,7 @@ class Seen(NamedTuple):
     speed: float  # m/s, forward
     wheel_angle: float
     direction: int  # as of a pose
-    trouble: str = ""  # why nothing can be learned from this driving, in words; ""
+    trouble: Notice | None = None  # why nothing can be learned from this driving
     origin_deg: tuple[float, float] = (0.0, 0.0)  # of the plane
 
 
@@ -68,19 +70,23 @@ def seen_of(pose: Pose) -> Seen:
     )  # fmt: skip
 
 
-def _trouble(pose: Pose) -> str:
+def _trouble(pose: Pose) -> Notice | None:
     without = sorted({flag.of for flag in pose.flags if flag.kind in WITHOUT_RTK})
     if without:
-        return f"RTK is lost at {', '.join(without).replace('_', ' ')}"
+        return notice(NoticeCode.RTK_LOST, mounts=_listed(without))
     lost = sorted({flag.of for flag in pose.flags if flag.kind in LOST_FLAGS})
     if lost:
-        return f"receivers are lost or do not fit: {', '.join(lost).replace('_', ' ')}"
+        return notice(NoticeCode.RECEIVERS_LOST, mounts=_listed(lost))
     if pose.wheel_angle is None:
-        return "the wheel angle is not heard"
+        return notice(NoticeCode.WHEELS_NOT_HEARD)
     body = pose.tractor
     if None in (body.x, body.y, body.heading, body.yaw_rate, body.forward_velocity):
-        return "the tractor's pose is not known"
-    return ""
+        return notice(NoticeCode.POSE_UNKNOWN)
+    return None
+
+
+def _listed(who: Sequence[str]) -> str:
+    return ", ".join(who).replace("_", " ")
 
 
 def place_of(field: Rectangle, seen: Seen) -> FieldPlace:
@@ -124,27 +130,27 @@ def room_left(
 
 def abort_reason(
     limits: DrivingLimits, field: Rectangle, place: FieldPlace | None, track: tuple[Seen, ...]
-) -> str:
-    """Why a run must be broken off now, "" where it need not. track: of the run so far, at least one."""
+) -> Notice | None:
+    """Why a run must be broken off now, None where it need not. track: of the run so far, at least one."""
     now = track[-1]
-    if now.trouble:
+    if now.trouble is not None:
         return now.trouble
     if now.direction < 0 or now.speed < BACKWARDS:
-        return "the tractor goes backwards"
+        return notice(NoticeCode.BACKWARDS)
     slowed = _braking(track)
     if slowed > limits.braking:
-        return f"braked with {slowed:.1f} m/s²"
+        return notice(NoticeCode.BEYOND_BRAKING, braking=slowed)
     sideways = abs(now.speed * now.yaw_rate)
     if sideways > limits.lateral_acceleration:
-        return f"{sideways:.1f} m/s² to the side; the plan allows {limits.lateral_acceleration:g}"
+        return notice(NoticeCode.BEYOND_LATERAL, acceleration=sideways, limit=limits.lateral_acceleration)
     if abs(now.wheel_angle) > math.radians(limits.wheel_angle_deg) + BEYOND_ANGLE:
         angle = math.degrees(now.wheel_angle)
-        return f"the wheels are at {angle:.0f}°; the plan allows {limits.wheel_angle_deg:g}°"
+        return notice(NoticeCode.BEYOND_WHEELS, wheels_deg=angle, limit_deg=limits.wheel_angle_deg)
     if place is not None:
         second = np.array([0.0, max(now.speed, 0.0)])
         if room_left(field, place, now, second, np.zeros(2), True) < 0.0:
-            return "the field ends here"
-    return ""
+            return notice(NoticeCode.FIELD_ENDS)
+    return None
 
 
 def _braking(track: tuple[Seen, ...]) -> float:

@@ -59,7 +59,8 @@ class ControlLoop:
         ratios = follower.theta / follower.rig.theta
         notes = () if self.force is None else self.force.notes
         return {
-            "steers": not self.controller.reason,
+            "steers": not self.controller.code,
+            "code": self.controller.code,
             "reason": self.controller.reason,
             "row": int(follower.plan.row[at]),
             "done": follower.done,
@@ -76,7 +77,7 @@ def run(
     wires: Wires, options: argparse.Namespace, open_bus: Callable[[], can.BusABC], stop: Callable[[], bool]
 ) -> int:
     """Until the plan is done or `stop`. The bus hears of it once it is ready to steer."""
-    _say({"reason": "no daemon has been heard yet"})
+    _say({"code": "no_daemon", "reason": "no daemon has been heard yet"})
     while (rig := wires.rig) is None:
         if stop():
             return 1

@@ -36,7 +36,7 @@ class Controller:
     ) -> None:
         """nominal: as the machine file has it. origin_deg: latitude and longitude of the plan's x = y = 0."""
         self.follower = Follower(plan, nominal)
-        self.reason = "no pose yet"  # why nothing is commanded; "" while it steers
+        self.code, self.reason = "no_pose", "no pose yet"  # why nothing is commanded; "" while it steers
         self.unusable = 0  # poses that lack something
         self._cautious = Cautious(nominal.theta, limits)
         self._plane = _plane(origin_deg)
@@ -65,7 +65,7 @@ class Controller:
     def command(self, now: float) -> list[tuple[int, bytes]]:
         """Frames to send now, (identifier, data): an intention to steer, or none and why in `reason`."""
         command = self.follower.command(now)
-        self.reason = command.reason
+        self.code, self.reason = command.code, command.reason
         if command.wheel_angle is None:
             return self.release()
         bend = math.tan(command.wheel_angle) / self.follower.rig.wheelbase

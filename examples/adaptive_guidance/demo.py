@@ -11,7 +11,6 @@ import json
 import logging
 import math
 import os
-import re
 import select
 import subprocess
 import sys
@@ -59,8 +58,6 @@ STARTING_S: Final = 180.0
 TICK_S: Final = 0.1
 ENDING_S: Final = 30.0
 FIGURE: Final = "guidance.svg"
-
-_NUMBERS: Final = re.compile(r"[\d.]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +229,7 @@ class _Watching:
     _along: Along = field(init=False)
     _stop_sent: bool = False
     _silent: bool = False
-    _reason: str = ""
+    _code: str = ""  # why the controller does not steer
 
     def __post_init__(self) -> None:
         self._along = Along(self.line)
@@ -277,9 +274,9 @@ class _Watching:
             self._silent = True
             self._event("the controller has ended: the wheels stay, the driver brakes")
         for fact in self.controller.facts():
-            before, self._reason = self._reason, fact["reason"]
-            if _NUMBERS.sub("", before) != _NUMBERS.sub("", self._reason):  # not each second of a silence
-                why = f"does not steer: {self._reason}" if self._reason else "steers"
+            before, self._code = self._code, fact["code"]
+            if before != self._code:  # not each second of a silence
+                why = f"does not steer: {fact['reason']}" if self._code else "steers"
                 self._event(f"the controller {why}")
 
     def _event(self, text: str) -> None:

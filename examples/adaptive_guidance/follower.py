@@ -59,7 +59,8 @@ class Command(NamedTuple):
     """What to ask of the steering, and why not, where nothing can be asked."""
 
     wheel_angle: float | None  # rad
-    reason: str = ""
+    code: str = ""
+    reason: str = ""  # the code in words
 
 
 @dataclass(slots=True)
@@ -112,11 +113,11 @@ class Follower:
     def command(self, now: float) -> Command:
         """The wheel angle to ask for from now on, once in PERIOD_S."""
         if self._pose is None:
-            return self._silent("no pose yet")
+            return self._silent("no_pose", "no pose yet")
         if now - self._pose.at > POSE_OLD_S:
-            return self._silent(f"the last pose is {now - self._pose.at:.1f} s old")
+            return self._silent("old_pose", f"the last pose is {now - self._pose.at:.1f} s old")
         if self.done:
-            return self._silent("the plan is done")
+            return self._silent("done", "the plan is done")
         period = PERIOD_S if self._ticked is None else min(now - self._ticked, 2 * PERIOD_S)
         self._ticked = now
         made, speed = self._design, self._pose.speed
@@ -136,9 +137,9 @@ class Follower:
         self._given.append((now, self._deviation))
         return Command(self._commanded)
 
-    def _silent(self, reason: str) -> Command:
+    def _silent(self, code: str, reason: str) -> Command:
         self._ticked = None
-        return Command(None, reason)
+        return Command(None, code, reason)
 
     def _redesign(self) -> None:
         assert self._pose is not None

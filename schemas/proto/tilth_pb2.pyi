@@ -745,14 +745,16 @@ class ExperimentCondition(_message.Message):
     def __init__(self, name: _Optional[str] = ..., met: _Optional[bool] = ..., text: _Optional[str] = ...) -> None: ...
 
 class ExperimentAttempt(_message.Message):
-    __slots__ = ("name", "outcome", "reason")
+    __slots__ = ("name", "outcome", "reason", "why")
     NAME_FIELD_NUMBER: _ClassVar[int]
     OUTCOME_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
+    WHY_FIELD_NUMBER: _ClassVar[int]
     name: str
     outcome: str
     reason: str
-    def __init__(self, name: _Optional[str] = ..., outcome: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+    why: Notice
+    def __init__(self, name: _Optional[str] = ..., outcome: _Optional[str] = ..., reason: _Optional[str] = ..., why: _Optional[_Union[Notice, _Mapping]] = ...) -> None: ...
 
 class ExperimentOrder(_message.Message):
     __slots__ = ("kind",)

@@ -249,6 +249,29 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "{folder}: this file system has no locks; it is recorded all the same, but no other program can be "
         "sure that a file is being written: do not use `tilth recover` there meanwhile"
     ),
+    NoticeCode.BACKWARDS: "the tractor goes backwards",
+    NoticeCode.BEYOND_BRAKING: "braked with {braking:.1f} m/s²",
+    NoticeCode.BEYOND_LATERAL: "{acceleration:.1f} m/s² to the side; the plan allows {limit:g}",
+    NoticeCode.BEYOND_WHEELS: "the wheels are at {wheels_deg:.0f}°; the plan allows {limit_deg:g}°",
+    NoticeCode.BY_THE_DRIVER: "by the driver",
+    NoticeCode.END_NOT_CONFIRMED: "the daemon has not confirmed the mark at its end",
+    NoticeCode.END_REFUSED: "the end is not in the log: {why}",
+    NoticeCode.FIELD_ENDS: "the field ends here",
+    NoticeCode.FOLLOWED_LITTLE: "the wheels followed only {share:.0%} of the bar",
+    NoticeCode.NOT_WITH_THE_BAR: "the wheels did not go with the bar: {left:.0%} of it is left over",
+    NoticeCode.NO_POSE_FOR: "no pose has come for {silence_s:.1f} s",
+    NoticeCode.OFF_THE_BAR: "the wheels were {off_deg:.0f}° off the bar for {off_s:.1f} s",
+    NoticeCode.POSE_UNKNOWN: "the tractor's pose is not known",
+    NoticeCode.PROMPTER_ENDED: "the prompter was ended",
+    NoticeCode.PROMPTER_ENDED_EARLY: "the prompter was ended before the daemon confirmed the mark at its end",
+    NoticeCode.RECEIVERS_LOST: "receivers are lost or do not fit: {mounts}",
+    NoticeCode.RTK_LOST: "RTK is lost at {mounts}",
+    NoticeCode.START_NOT_CONFIRMED: "the daemon has not confirmed the mark at its start",
+    NoticeCode.START_REFUSED: "the start is not in the log: {why}",
+    NoticeCode.STOPPED: "stopped by the driver",
+    NoticeCode.TOO_FAST: "{speed_kmh:.1f} km/h, the run is driven at {wanted_kmh:.1f}",
+    NoticeCode.TOO_SLOW: "only {speed_kmh:.1f} km/h, the run is driven at {wanted_kmh:.1f}",
+    NoticeCode.WHEELS_NOT_HEARD: "the wheel angle is not heard",
 }
 LANGUAGES: Final[Mapping[str, Mapping[NoticeCode, Words]]] = {ENGLISH: NOTICES}
 

@@ -65,14 +65,16 @@ def _made() -> Iterator[tuple[str, NoticeCode, set[str]]]:
     """Where the product makes notices: place, code, names of the values, where these stand there."""
     for module, source in sources().items():
         for node in ast.walk(ast.parse(source)):
-            names = {word.arg for word in node.keywords} if isinstance(node, ast.Call) else {None}
-            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
-            if called not in ("notice", "self._event") or None in names:
+            if not isinstance(node, ast.Call) or any(word.arg is None for word in node.keywords):
                 continue
-            own = {"bus"} if called == "self._event" else set()  # of logger.can.buses
+            called = ast.unparse(node.func)
+            if called not in ("notice", "self._event"):
+                continue
+            names = {str(word.arg) for word in node.keywords}
+            names |= {"bus"} if called == "self._event" else set()  # of logger.can.buses
             for part in (inner for one in node.args for inner in ast.walk(one)):
                 if ast.unparse(part).startswith("NoticeCode.") and isinstance(part, ast.Attribute):
-                    yield f"{module}:{node.lineno}", NoticeCode[part.attr], {str(n) for n in names} | own
+                    yield f"{module}:{node.lineno}", NoticeCode[part.attr], names
 
 
 def test_every_notice_that_is_made_has_the_values_that_its_words_want() -> None:

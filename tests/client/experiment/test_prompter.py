@@ -15,7 +15,6 @@ from tilth.client.experiment.prompter import (
     FINISHED,
     IDLE,
     LEAD_S,
-    LEFT,
     LINING_UP,
     NOTING,
     RUNNING,
@@ -23,6 +22,7 @@ from tilth.client.experiment.prompter import (
     SKIP,
     STOP,
     Anew,
+    Attempt,
     Course,
     Input,
     Leave,
@@ -42,6 +42,8 @@ from tilth.estimator.models.parameters import TABLE_5_1
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.schemas.experiment import Rectangle, parse_plan
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import NoticeCode, notice
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
@@ -51,6 +53,12 @@ PLAN = parse_plan(TEXT)
 COURSE = course_of(PLAN, TABLE_5_1)
 POSE_S = 0.2
 SPEED = 4.5
+LOST_FRONT = notice(NoticeCode.RTK_LOST, mounts="tractor front")
+
+
+def words_of(attempt: Attempt) -> str:
+    """Why it is not done."""
+    return "" if attempt.why is None else notice_sentence(attempt.why)
 
 
 def seen_at(t_s: float, **changes: object) -> Seen:
@@ -131,7 +139,7 @@ def test_an_armed_run_lines_up_counts_down_runs_ends_by_itself_and_the_next_wait
 
 
 ABORTS = [
-    ({"trouble": "RTK is lost at tractor front"}, "RTK is lost"),
+    ({"trouble": LOST_FRONT}, "RTK is lost"),
     ({"direction": -1, "speed": -0.5}, "backwards"),
     ({"speed": -0.5}, "backwards"),
     ({"speed": 2.0}, "braked with"),
@@ -151,9 +159,9 @@ def test_what_goes_wrong_breaks_a_run_off_at_once_with_its_reason_and_it_is_repe
     play.go(2 * POSE_S, **changes)
     assert play.prompt.phase == IDLE
     (attempt,) = play.prompt.attempts
-    assert attempt.outcome == "aborted" and words in attempt.reason
+    assert attempt.outcome == "aborted" and words in words_of(attempt)
     assert words in play.prompt.said and "driven again" in play.prompt.said
-    assert play.marks[-1] == f"{attempt.name} aborted ({attempt.reason})"
+    assert play.marks[-1] == f"{attempt.name} aborted ({words_of(attempt)})"
     assert play.prompt.at == 0 and play.prompt.tries == 2
     play.go(10.0)
     assert play.prompt.phase == IDLE  # it waits to be armed
@@ -170,13 +178,13 @@ def test_slowly_slower_is_no_braking_but_too_slow() -> None:
         play.go(POSE_S, speed=SPEED - 0.1 * k)
         if play.prompt.phase == IDLE:
             break
-    assert "only" in play.prompt.attempts[0].reason and "km/h" in play.prompt.attempts[0].reason
+    assert "only" in words_of(play.prompt.attempts[0]) and "km/h" in words_of(play.prompt.attempts[0])
 
 
 def test_silence_breaks_a_run_off() -> None:
     play = Play().running()
     play.take(Tick(play.t_s + SILENT_S + 0.1))
-    assert "no pose has come" in play.prompt.attempts[0].reason
+    assert "no pose has come" in words_of(play.prompt.attempts[0])
 
 
 @pytest.mark.parametrize("phase", [IDLE, LINING_UP, COUNTDOWN, RUNNING, NOTING, FINISHED])
@@ -221,7 +229,7 @@ def test_a_driver_who_looks_away_is_told_and_drives_it_again() -> None:
     play.go(20.0, wheel_angle=0.0)
     (attempt,) = play.prompt.attempts
     assert attempt.outcome == "disturbed"
-    assert "off the bar" in attempt.reason or "followed only" in attempt.reason
+    assert "off the bar" in words_of(attempt) or "followed only" in words_of(attempt)
 
 
 def test_a_mark_that_is_refused_or_never_confirmed_counts_as_not_driven() -> None:
@@ -230,17 +238,17 @@ def test_a_mark_that_is_refused_or_never_confirmed_counts_as_not_driven() -> Non
     play.go(3.0)
     play.take(Order(ARM))
     play.go(12.0)
-    assert "the start is not in the log: you may not mark" in play.prompt.attempts[0].reason
+    assert "the start is not in the log: you may not mark" in words_of(play.prompt.attempts[0])
     silent = Play()
     silent.confirm = False
     silent.running().go(5.0)
-    assert "has not confirmed the mark at its start" in silent.prompt.attempts[0].reason
+    assert "has not confirmed the mark at its start" in words_of(silent.prompt.attempts[0])
     ending = Play().running()
     ending.confirm = False
     ending.until(NOTING)
     ending.go(15.0)
     assert ending.prompt.attempts[0].outcome == "disturbed"
-    assert "at its end" in ending.prompt.attempts[0].reason
+    assert "at its end" in words_of(ending.prompt.attempts[0])
 
 
 def test_stop_and_skip_do_as_they_say() -> None:
@@ -253,7 +261,7 @@ def test_stop_and_skip_do_as_they_say() -> None:
     play.running().take(Order(SKIP))
     assert play.prompt.phase == RUNNING and "stop it first" in play.prompt.said
     play.take(Order(STOP))
-    assert play.prompt.attempts[0].reason == "stopped by the driver"
+    assert words_of(play.prompt.attempts[0]) == "stopped by the driver"
     name = name_of(play.prompt, COURSE)
     play.take(Order(SKIP))
     assert play.prompt.attempts[1].outcome == "skipped" and play.prompt.at == 1
@@ -277,7 +285,7 @@ def test_stop_and_skip_do_as_they_say() -> None:
         ("straight", {"yaw_rate": 0.1}),
         ("room", {"north": 330.0}),
         ("room", {"heading": math.pi / 2}),
-        ("receivers", {"trouble": "RTK is lost at tractor front"}),
+        ("receivers", {"trouble": LOST_FRONT}),
     ],
 )
 def test_a_run_waits_for_each_condition_and_says_which(name: str, changes: dict[str, object]) -> None:
@@ -315,8 +323,9 @@ def test_a_prompter_that_is_ended_notes_the_run_under_way_as_not_done(phase: str
         play.until(phase)
     before, name = len(play.marks), name_of(play.prompt, COURSE) if phase != FINISHED else ""
     play.take(Leave())
-    unconfirmed = f"{LEFT} before the daemon confirmed the mark at its end"
-    notes = {RUNNING: f"aborted ({LEFT})", NOTING: f"disturbed ({unconfirmed})"}
+    ended = notice_sentence(notice(NoticeCode.PROMPTER_ENDED))
+    unconfirmed = notice_sentence(notice(NoticeCode.PROMPTER_ENDED_EARLY))
+    notes: dict[str, str] = {RUNNING: f"aborted ({ended})", NOTING: f"disturbed ({unconfirmed})"}
     assert play.marks[before:] == ([f"{name} {notes[phase]}"] if phase in notes else [])
     assert play.prompt.tries == 1 + (phase in notes)
     assert phase == FINISHED or play.prompt.said == "The prompter was ended."
@@ -397,7 +406,7 @@ def test_all_nine_runs_get_done_by_a_driver_who_is_late_inexact_and_looks_away()
     one = prompted(1)
     assert one.finished and one.driver.looked_away > 0
     told_of = [attempt for attempt in one.prompt.attempts if attempt.outcome != "done"]
-    assert all(attempt.reason for attempt in told_of)
+    assert all(words_of(attempt) for attempt in told_of)
     assert sum(attempt.outcome == "done" for attempt in one.prompt.attempts) == 9
     started = [text for _, text in one.marks if text.endswith(" start")]
     ended = [text for _, text in one.marks if text.endswith(" end")]
@@ -417,7 +426,7 @@ def test_brakes_lost_rtk_and_a_refused_mark_cost_a_try_and_no_run() -> None:
 
     def lost(now: float, prompt: Prompt, seen: Seen) -> Seen:
         lost_now = in_the_middle(prompt, 2)
-        return seen._replace(trouble="RTK is lost at tractor rear") if lost_now else seen
+        return seen._replace(trouble=notice(NoticeCode.RTK_LOST, mounts="tractor rear")) if lost_now else seen
 
     def pedal(now: float, prompt: Prompt, wanted: float) -> float:
         return 0.5 if in_the_middle(prompt, 0) else wanted
@@ -427,7 +436,7 @@ def test_brakes_lost_rtk_and_a_refused_mark_cost_a_try_and_no_run() -> None:
         return "the disk is full" if name in text and text.endswith("start") else ""
 
     one = prompted(2, mishap=lost, pedal=pedal, refuse=refuse)
-    reasons = [attempt.reason for attempt in one.prompt.attempts if attempt.outcome != "done"]
+    reasons = [words_of(attempt) for attempt in one.prompt.attempts if attempt.outcome != "done"]
     assert one.finished
     for words in ("braked with", "RTK is lost at tractor rear", "the disk is full"):
         assert any(words in reason for reason in reasons), words

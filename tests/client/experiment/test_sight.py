@@ -23,6 +23,7 @@ from tilth.estimator.pose.geometry import to_degrees
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.experiment import DrivingLimits, Rectangle
 from tilth.schemas.flow import Mount, Pose
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.scenario import Fault, FaultKind, Scenario
 from tilth.simulator.traffic import simulate
 
@@ -33,7 +34,7 @@ AT = Point(10.0, 20.0, 0.3, 0.01, 0.3)
 def test_a_pose_is_seen_as_it_is() -> None:
     seen = seen_of(pose(5_000_000_000, AT, ""))
     assert (seen.t_s, seen.north, seen.east, seen.heading) == (5.0, 10.0, 20.0, 0.3)
-    assert seen.trouble == ""
+    assert seen.trouble is None
 
 
 @pytest.mark.parametrize(
@@ -46,7 +47,8 @@ def test_a_pose_is_seen_as_it_is() -> None:
     ],
 )
 def test_what_cannot_be_learned_from_is_said(lost: str, flag: str, words: str) -> None:
-    assert words in seen_of(pose(1, AT, lost, flag)).trouble
+    trouble = seen_of(pose(1, AT, lost, flag)).trouble
+    assert trouble is not None and words in notice_sentence(trouble)
 
 
 @pytest.mark.parametrize("kind", ["rtk_float", "dgnss"])
@@ -62,11 +64,11 @@ def test_a_receiver_that_loses_rtk_on_the_bus_is_lost_in_the_poses_that_are_publ
         if isinstance(made.value, Pose)
     ]
     began_s = found[-1].t_s - 9.0
-    troubles = {round(one.t_s - began_s, 1): one.trouble for one in found}
+    troubles = {round(one.t_s - began_s, 1): one.trouble and notice_sentence(one.trouble) for one in found}
     during = {trouble for at, trouble in troubles.items() if 5.5 < at < 6.8}
     assert during == {"RTK is lost at tractor rear"}
-    assert {trouble for at, trouble in troubles.items() if 3.5 < at < 4.8} == {""}
-    assert troubles[max(troubles)] == ""
+    assert {trouble for at, trouble in troubles.items() if 3.5 < at < 4.8} == {None}
+    assert troubles[max(troubles)] is None
 
 
 def test_a_place_stays_where_it_is_when_the_plane_is_another() -> None:
@@ -116,4 +118,4 @@ def test_room_is_counted_from_where_the_tractor_stands_and_faces() -> None:
 
 def test_steady_driving_is_no_reason_to_break_off() -> None:
     track = tuple(seen_of(pose(int(k * 2e8), AT, "")) for k in range(10))
-    assert abort_reason(DrivingLimits(), FIELD, None, track) == ""
+    assert abort_reason(DrivingLimits(), FIELD, None, track) is None
