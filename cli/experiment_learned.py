@@ -80,7 +80,7 @@ def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]
             continue
         scale, unit = (1e-3, "kN/rad") if name.startswith("C_") else (1.0, "m")
         k = PARAMETERS.index(name)
-        percent = share(math.sqrt(answer["joint"]["log_covariance"][k][k])).removesuffix(" (95 %)")
+        percent = share(math.sqrt(answer["joint"]["log_covariance"][k][k]), bare=True)
         text = of_logarithm(scale * row["value"], scale * row["sd"], unit)
         lines.append(f"{name}: {text}, {percent}{expected}")
     if len(answer["runs"]) > 1:

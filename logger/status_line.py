@@ -107,12 +107,12 @@ def preparing_text(status: pb.Status) -> str:
     return f"{status.preparing}{remaining}"
 
 
-def stiffness_text(one: ParameterEstimate) -> str:
-    """Value with its 95 % range, or what keeps it from being known."""
+def stiffness_text(one: ParameterEstimate, bare: bool = False) -> str:
+    """Value with its 95 % range, or what keeps it from being known. bare: of a table whose head says it."""
     if one.value is None or one.sd is None:
         return f"{one.status.name.lower()}"
     stale = "" if one.status is Status.ESTIMATED else f", {one.status.name.lower()}"
-    return of_logarithm(one.value / 1e3, one.sd / 1e3, "kN/rad") + stale
+    return of_logarithm(one.value / 1e3, one.sd / 1e3, "" if bare else "kN/rad", bare) + stale
 
 
 def panel(
@@ -199,13 +199,8 @@ def _soil(estimate: Estimate | None) -> Table:
         style = {Status.ESTIMATED: "bold", Status.STALE: "yellow", Status.INVALID: "red"}.get(
             one.status, "dim"
         )
-        table.add_row(name, Text(_short(stiffness_text(one)), style=style))
+        table.add_row(name, Text(stiffness_text(one, bare=True), style=style))
     return table
-
-
-def _short(text: str) -> str:
-    """Without what the head of the column says."""
-    return text.replace(" kN/rad (95 %)", "")
 
 
 def _stiffnesses(estimate: Estimate | None) -> list[tuple[str, ParameterEstimate]]:

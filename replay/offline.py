@@ -41,7 +41,7 @@ INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, ADDRESSES_TOPIC})
 WITH_RESULTS = IDENTICAL | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
-    {"fault", "clock_step", "other_clock", *receiver_checks.KINDS}
+    {EventKind.FAULT, EventKind.CLOCK_STEP, EventKind.OTHER_CLOCK, *receiver_checks.KINDS}
 )  # kinds of events that are printed in a replay
 
 

@@ -16,9 +16,10 @@ def interval(value: float, log_sd: float) -> tuple[float, float]:
     return value * math.exp(-WITHIN * log_sd), value * math.exp(WITHIN * log_sd)
 
 
-def share(*log_sds: float) -> str:
-    """Sds of logarithms, such as: ±7.8 %, -55 … +122 % (95 %)."""
-    return f"{', '.join(map(_share, log_sds))} {_SAYS}"
+def share(*log_sds: float, bare: bool = False) -> str:
+    """Sds of logarithms, such as: ±7.8 %, -55 … +122 % (95 %). bare: of a table whose head says that it is
+    95 %."""
+    return _said(", ".join(map(_share, log_sds)), "", bare)
 
 
 def even(percent: float) -> str:
@@ -37,22 +38,22 @@ def half_alone(sd: float, unit: str) -> str:
     return f"±{_number(half, half)} {unit}"
 
 
-def plus_minus(value: float, sd: float, unit: str = "") -> str:
+def plus_minus(value: float, sd: float, unit: str = "", bare: bool = False) -> str:
     """Such as: 1.20 ± 0.13 s (95 %)."""
     half = WITHIN * sd
-    return _with_unit(f"{_number(value, half)} ± {_number(half, half)}", unit)
+    return _said(f"{_number(value, half)} ± {_number(half, half)}", unit, bare)
 
 
-def of_logarithm(value: float, sd: float, unit: str = "") -> str:
+def of_logarithm(value: float, sd: float, unit: str = "", bare: bool = False) -> str:
     """Of a log-normal parameter and its sd, both in its unit: as `plus_minus` while it is known well.
 
     Else with both ends, such as: 220 (99 … 491) kN/rad (95 %).
     """
     half = WITHIN * sd
     if half <= _EVEN * value:
-        return plus_minus(value, sd, unit)
+        return plus_minus(value, sd, unit, bare)
     ends = " … ".join(_number(end, half) for end in interval(value, sd / value))
-    return _with_unit(f"{_number(value, half)} ({ends})", unit)
+    return _said(f"{_number(value, half)} ({ends})", unit, bare)
 
 
 def _share(log_sd: float) -> str:
@@ -69,5 +70,5 @@ def _number(value: float, half: float) -> str:
     return f"{value:.{max(0, 1 - math.floor(math.log10(half)))}f}"
 
 
-def _with_unit(text: str, unit: str) -> str:
-    return " ".join(part for part in (text, unit, _SAYS) if part)
+def _said(text: str, unit: str, bare: bool) -> str:
+    return " ".join(part for part in (text, unit, "" if bare else _SAYS) if part)

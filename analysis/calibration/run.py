@@ -283,7 +283,7 @@ def _row(one: NumberVerdict, written: str) -> tuple[str, ...]:
 
     change = "stays"
     if one.status != NOT_IDENTIFIABLE:
-        change = plus_minus(one.moved / per, one.sd / per, unit).removesuffix(" (95 %)")
+        change = plus_minus(one.moved / per, one.sd / per, unit, bare=True)
     halves = ""
     if one.halves is not None and one.p is not None:
         digits = 3 if unit == "m" else 2

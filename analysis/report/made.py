@@ -8,10 +8,12 @@ from tilth.analysis.report.glance import at_a_glance, contradicted
 from tilth.analysis.report.published import RECOMMENDED, values_table
 from tilth.analysis.report.wording import NOTHING, listed, many
 from tilth.replay.simulated import SAID
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.flow import PARAMETERS, EventKind
 
 SIMULATED: Final = f"{SAID.capitalize()}."
-FAULTS: Final = ("fault", "gap", "clock_step", "stored_state", "disagreement")
+FAULTS: Final = (
+    EventKind.FAULT, EventKind.GAP, EventKind.CLOCK_STEP, EventKind.STORED_STATE, EventKind.DISAGREEMENT,
+)  # fmt: skip
 """Kinds of events that make results doubtful."""
 _SKIPPED: Final = {
     "damaged_chunk": "Damaged parts of the log", "damaged_message": "Damaged messages",

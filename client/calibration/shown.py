@@ -114,7 +114,7 @@ def _number(row: Mapping[str, Any]) -> pb.CalibrationNumber:
     change = "stays as it is"
     if row["status"] != NOT_IDENTIFIABLE:
         sd = row["sd"] / number.per_unit
-        change = plus_minus(row["moved"] / number.per_unit, sd, number.unit).removesuffix(" (95 %)")
+        change = plus_minus(row["moved"] / number.per_unit, sd, number.unit, bare=True)
     return pb.CalibrationNumber(
         words=number.words, change=change, before=_half_width(number, row["prior_sd"]),
         now=_half_width(number, row["sd"]), wanted=_half_width(number, row["wanted_sd"]),

@@ -101,9 +101,9 @@ class SteeringResponse:
     @property
     def words(self) -> str:
         """For a driver."""
-        dead_time = _bare(max(self.dead_time, 0.0), self.dead_time_sd, "s")
-        slow = _bare(self.time_constant, self.time_constant_sd, "s")
-        rate = _bare(math.degrees(self.rate), math.degrees(self.rate_sd), "°/s")
+        dead_time = plus_minus(max(self.dead_time, 0.0), self.dead_time_sd, "s", bare=True)
+        slow = plus_minus(self.time_constant, self.time_constant_sd, "s", bare=True)
+        rate = plus_minus(math.degrees(self.rate), math.degrees(self.rate_sd), "°/s", bare=True)
         most = f"at most {rate}" if self.limited else f"fastest seen {rate}"
         turned = "" if self.gain > 0.0 else " Its commands and the wheel angle have opposite signs."
         return (
@@ -370,7 +370,3 @@ def _covariance(found: Sequence[_Stretch], at: Array) -> Array:
     stamped = np.zeros((len(at), len(at)))
     stamped[[0, 1], [0, 1]] = STAMPED_S**2
     return np.asarray(few**2 * (blocks - 1) / blocks * (moved.T @ moved) + stamped, np.float64)
-
-
-def _bare(value: float, sd: float, unit: str) -> str:
-    return plus_minus(value, sd, unit).removesuffix(" (95 %)")

@@ -66,7 +66,7 @@ class RunTrace:
     theta: list[Array] = field(default_factory=list)  # (6,) in force at each command
     taken: int = 0  # commands
     refused: dict[str, int] = field(default_factory=dict)
-    ended: str = ""  # why the controller had ceased to steer at the end
+    ended: str = ""  # code of why the controller had ceased to steer at the end
 
 
 @dataclass(slots=True)
@@ -141,7 +141,7 @@ def run(
     truth = drive(machine, seed, seconds, scenario, driven_by=driver)
     trace, steering = loops[0].trace, drivers[0].steering
     trace.taken, trace.refused = steering.taken, dict(steering.refused)
-    trace.ended = loops[0].controller.reason
+    trace.ended = loops[0].controller.code
     return line, truth, trace
 
 

@@ -80,7 +80,7 @@ def middle(work: Work) -> float:
 def driven(machine: Machine, seed: int, mode: str, work: Work = WORK, **options: object) -> DrivenPath:
     """options: of lockstep.run. Raises RuntimeError where a run did not come to its end."""
     line, truth, trace = run(machine, seed, scenario_of(machine, work), work, mode, **options)  # type: ignore[arg-type]
-    if trace.refused or trace.ended != "the plan is done":
+    if trace.refused or trace.ended != "done":
         raise RuntimeError(f"the steering refused {trace.refused}; the run ended: {trace.ended}")
     error, at = cross_track(line, truth)
     east = truth.implement.y[::EVERY]

@@ -210,7 +210,7 @@ def test_who_knows_a_soft_soil_keeps_the_implement_nearer_to_its_line_in_the_tur
     for mode in ("fixed", "knowing"):
         line, truth, received = run(with_sure_inertias(machine), 1, scenario, work, mode)
         assert received.refused == {}
-        assert received.ended == "the plan is done"
+        assert received.ended == "done"
         off, at = cross_track(line, truth)
         errors[mode] = np.sqrt(np.mean(off[line.row[at] < 0] ** 2))
     assert errors["knowing"] < 0.15
