@@ -50,7 +50,7 @@ SD_UNITS: Final = {"position": "m", "velocity": "m/s", "heading": "rad", "yaw_ra
 """Of the sd of each kind of measurement that has one."""
 LENGTHS: Final = {"log_covariance": 36, "bound": 6}  # of lists of doubles
 _WHOLE: Final = {FieldDescriptor.TYPE_SINT32: wire.ZIGZAG, FieldDescriptor.TYPE_SINT64: wire.ZIGZAG}
-_IN_WORDS: Final = ("Reason", "Advice")  # messages whose words stand in a field beside them
+_IN_WORDS: Final = ("Reason", "Advice", "Notice")  # messages whose words stand in a field beside them
 _NAME: Final = "name"  # of a device, 64 bits: no number to reckon with
 _OF_ALL: Final = ("t_ns", "rx_ns", "bus", "source", _NAME, "mount", "pgn", "sid")
 _KIND: Final = {TOPIC_OF[kind]: kind for _, kind in KINDS}

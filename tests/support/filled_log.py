@@ -56,7 +56,7 @@ def _fill(message: Any, rng: np.random.Generator) -> None:
                     inner = message.parameters.add()
                     _fill(inner, rng)
                     inner.name = name
-            elif field.message_type.name == "Reason":
+            elif field.message_type.name in ("Reason", "Notice"):
                 continue  # of itself, so without end
             elif not field.is_repeated and field.message_type.file.package == "tilth":
                 _fill(getattr(message, field.name), rng)
@@ -118,7 +118,7 @@ def _places(message: Any) -> Iterator[tuple[str, str, str, Any]]:
                 for inner in row.DESCRIPTOR.fields:
                     if inner.name != "name":
                         yield f"{row.name}_{inner.name}".removesuffix("_value"), inner.name, row.name, row
-        elif field.message_type.name in ("Reason", "Advice"):
+        elif field.message_type.name in ("Reason", "Advice", "Notice"):
             continue  # the words beside it are a column
         elif field.message_type.file.package == "tilth" and not field.is_repeated:
             holder = getattr(message, field.name)
