@@ -132,7 +132,7 @@ def set_parameters(unknowns: Array, setup: RigSetup, p: Array, slopes: Array) ->
     the setup."""
     rig, roll = setup.rig, setup.roll
     for i in range(P_CONSTANTS):
-        p[i] = 1.0
+        p[i] = 1.0 if i < 6 else 0.0
     for i in range(9):
         p[P_GEOMETRY + i] = setup.geometry[i]
     p[P_HEIGHT], p[P_HEIGHT + 1], p[P_DRAWBAR] = rig.h_t, rig.h_i, rig.h_h
