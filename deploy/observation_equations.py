@@ -82,12 +82,12 @@ def parameter(name: str) -> Any:
 
 def roll(body: str) -> Any:
     """Of a body against the horizontal, rad: its lean on its tyres and the ground's slope."""
-    return X[f"phi{body}"] + X[f"slope{body}"] / K["g"]
+    return X[f"phi{body}"] + X[f"bank{body}"] / K["g"]
 
 
 def roll_rate(body: str) -> Any:
     """rad/s."""
-    return X[f"p{body}"] + X[f"slope_rate{body}"] / K["g"]
+    return X[f"p{body}"] + X[f"bank_rate{body}"] / K["g"]
 
 
 def lever(body: str) -> Any:
@@ -121,12 +121,18 @@ def position(axis: str, body: str) -> Any:
         return cosine * ahead - sine * right if axis == "north" else sine * ahead + cosine * right
 
     arm, height, drawbar = K["ahead"] - K["middle"], K["height"], parameter("h_h")
-    aside, slow = K["right"] + Q[f"pair{body}"] * arm, X[f"pair{body}_{axis}"] * arm
+    lateral_offset, slow = K["right"] + Q[f"pair{body}"] * arm, X[f"pair{body}_{axis}"] * arm
     if body == "_t":
-        return X[axis] + along("_t", lever("_t"), aside + height * roll("_t")) + slow
+        return X[axis] + along("_t", lever("_t"), lateral_offset + height * roll("_t")) + slow
     hitch = along("_t", -parameter("c"), drawbar * roll("_t"))
-    aside += Q["aside_i"] + (height - drawbar) * roll("_i")
-    return X[axis] + hitch + along("_i", lever("_i") - parameter("d"), aside) + X[f"aside_{axis}"] + slow
+    lateral_offset += Q["aside_i"] + (height - drawbar) * roll("_i")
+    return (
+        X[axis]
+        + hitch
+        + along("_i", lever("_i") - parameter("d"), lateral_offset)
+        + X[f"offset_{axis}"]
+        + slow
+    )
 
 
 def velocity(body: str) -> Any:

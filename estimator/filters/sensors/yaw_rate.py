@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import DT, X_R
-from tilth.estimator.filters.unknowns import AT_RATE_LATE, AT_S_YAW_RATE
+from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, AT_YAW_RATE_DELAY
 from tilth.estimator.models.generated.observation_kernels import yaw_rate
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ def observe_yaw_rate(obs: Observation, x: Array, following: Array, unknowns: Arr
     """The same with how late it is. x, following: (30,), the state at the ticks before and after."""
     kind, place, share, u, psi_ref, _ = obs
     faster = (following[X_R + place] - x[X_R + place]) / DT
-    return Observation(kind, place, share - unknowns[AT_RATE_LATE + place] / DT, u, psi_ref, faster)
+    return Observation(kind, place, share - unknowns[AT_YAW_RATE_DELAY + place] / DT, u, psi_ref, faster)
 
 
 predict_yaw_rate = yaw_rate  # rad/s

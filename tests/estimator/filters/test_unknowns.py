@@ -55,7 +55,7 @@ def test_a_parameter_stays_above_its_least_value_and_has_no_slope_there() -> Non
     mean[unknowns.AT["roll_pin"]] = -9.0
     p, slopes = _parameters(mean, False)
     k = [one.unknown for one in unknowns.ACTIONS].index(unknowns.AT["roll_pin"])
-    assert (p[PARAMETERS.index("pin")], slopes[k]) == (0.0, 0.0)
+    assert (p[PARAMETERS.index("pivot_height")], slopes[k]) == (0.0, 0.0)
 
 
 # The example of CONTRIBUTING.
