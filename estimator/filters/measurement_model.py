@@ -6,12 +6,13 @@ wheel angle, which is an input, has such a file too. Predictions and slopes are 
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.joint_update import JointState
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors import heading, position, roll, velocity, yaw_rate
 from tilth.estimator.filters.sensors.heading import predict_heading
@@ -20,7 +21,8 @@ from tilth.estimator.filters.sensors.position import predict_position
 from tilth.estimator.filters.sensors.roll import predict_roll
 from tilth.estimator.filters.sensors.velocity import predict_velocity
 from tilth.estimator.filters.sensors.yaw_rate import observe_yaw_rate, predict_yaw_rate
-from tilth.estimator.filters.states import DT
+from tilth.estimator.filters.states import DT, N_STATES, Places
+from tilth.estimator.filters.transition import D_POSITION, N_COUPLED, POSITION_LATER, Transition
 from tilth.estimator.record.record import HEADING, KIND, OFFSET, PLACE, PSI, ROLL_ANGLE, VELOCITY, YAW_RATE
 
 Array = NDArray[np.float64]
@@ -59,6 +61,55 @@ def predict_measurement(x: Array, obs: Observation, unknowns: Array, setup: RigS
     if obs.kind == VELOCITY:
         return float(predict_velocity(x, unknowns, body, obs, setup, slopes))
     return float(predict_position(x, unknowns, body, obs, setup, slopes))
+
+
+@inner_kernel
+def between(share: float, h: Array, step: Transition, H: Array) -> None:
+    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + n,), that at an instant a
+    share of a tick later, between which the state is linear."""
+    for j in range(N_STATES):
+        H[j] = (1.0 - share) * h[j]
+    for i in range(N_STATES):
+        if h[i] != 0.0 and share != 0.0:
+            for j in range(N_STATES):
+                H[j] += share * h[i] * step.F[i, j]
+
+
+@inner_kernel
+def unknowns_between(share: float, h: Array, places: Places, step: Transition, out: Array) -> None:
+    """Fill out (a,), as `between`, over the active unknowns, at `places`."""
+    na = out.shape[0]
+    for j in range(na):
+        out[j] = h[N_STATES + places[j]]
+    for k in range(N_COUPLED):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        if h[i] != 0.0 and share != 0.0:
+            for j in range(na):
+                out[j] += share * h[i] * step.F_unknowns[k, j]
+
+
+class Expected(NamedTuple):
+    """Work arrays of an innovation."""
+
+    x: Array  # (30,), state at the measurement
+    h: Array  # (30 + n,), derivatives of the prediction by it and all unknowns
+    H: Array  # (30 or more,), the same by the state at the tick
+    H_unknowns: Array  # (a,), and by the active unknowns
+
+
+@inner_kernel
+def innovation(
+    reading: float, obs: Observation, state: JointState, places: Places, setup: RigSetup, step: Transition,
+    at: Expected,
+) -> float:  # fmt: skip
+    """What a reading is more than predicted; fills the arrays. The state is linear in time over the tick."""
+    x, following = state.x, state.following
+    for i in range(N_STATES):
+        at.x[i] = x[i] + obs.share * (following[i] - x[i])
+    error = reading - predict_measurement(at.x, obs, state.unknowns, setup, at.h)
+    between(obs.share, at.h, step, at.H)
+    unknowns_between(obs.share, at.h, places, step, at.H_unknowns)
+    return float(error)
 
 
 @inner_kernel

@@ -17,14 +17,12 @@ from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.joint_update import (
     JointState,
     UpdateWork,
-    between,
     empty_work,
     propagate_covariances,
     rows_by,
-    unknowns_between,
     update,
 )
-from tilth.estimator.filters.measurement_model import observation, predict_measurement
+from tilth.estimator.filters.measurement_model import Expected, innovation, observation
 from tilth.estimator.filters.perturbed_filters import (
     Filters,
     advance,
@@ -146,14 +144,10 @@ class Runner(NamedTuple):
     run: Filters
     varied: Varied
     sensitivities: Sensitivities
-    unknowns: Array  # (n,)
     plant: Plant
     step: Transition
     work: UpdateWork
-    x_at: Array  # (30,), state at a measurement
-    h: Array  # (30 + n,), Jacobian of a measurement over it and all unknowns
-    H: Array  # (30,), the same over the state at the tick
-    H_unknowns: Array  # (a,), and over the active unknowns
+    at: Expected
 
 
 @inline_kernel
@@ -167,16 +161,14 @@ def runner(u: float, x: Array, unknowns: Array, setup: RigSetup, varied: Varied)
     step, work = empty_transition(na, learned.shape[0], P.shape[0]), empty_work(P.shape[0], P.shape[1])
     state = JointState(x, np.zeros(N_STATES), unknowns, learned, np.zeros(N_STATES), P)
     sensitivities = Sensitivities(np.zeros((N_STATES, na)), np.zeros((N_COUPLED, na)), np.zeros(na))
-    return Runner(
-        state, run, varied, sensitivities, unknowns, plant, step, work, np.zeros(N_STATES),
-        np.zeros(N_STATES + N_UNKNOWNS), np.zeros(N_STATES), np.zeros(na),
-    )  # fmt: skip
+    at = Expected(np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), np.zeros(N_STATES), np.zeros(na))
+    return Runner(state, run, varied, sensitivities, plant, step, work, at)
 
 
 @inline_kernel
 def begin_tick(ticks: Array, k: int, setup: RigSetup, on: Runner) -> float:
     """Propagate the state from tick k to the next; the measured speed between them, m/s."""
-    x, unknowns, step = on.state.x, on.unknowns, on.step
+    x, unknowns, step = on.state.x, on.state.unknowns, on.step
     drive = drive_at(ticks, k, unknowns)
     if k % EVERY == 0:
         set_all_noise(drive.u, on.run, setup, step)
@@ -207,22 +199,18 @@ def take_row(
     out: Innovations,
 ) -> None:  # fmt: skip
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
-    x, following, x_at, sensitivities = on.state.x, on.state.following, on.x_at, on.sensitivities
-    obs = observation(measured.ticks, measured.rows[row], k, u, x, following, on.unknowns)
-    for i in range(N_STATES):
-        x_at[i] = x[i] + obs.share * (following[i] - x[i])
-    error = measured.readings[row] - predict_measurement(x_at, obs, on.unknowns, setup, on.h)
-    between(obs.share, on.h, on.step, on.H)
-    unknowns_between(obs.share, on.h, on.varied.places, on.step, on.H_unknowns)
-    row_sensitivities(on.H, on.H_unknowns, row, on.varied, sensitivities)
+    state, at, sensitivities = on.state, on.at, on.sensitivities
+    obs = observation(measured.ticks, measured.rows[row], k, u, state.x, state.following, state.unknowns)
+    error = innovation(measured.readings[row], obs, state, on.varied.places, setup, on.step, at)
+    row_sensitivities(at.H, at.H_unknowns, row, on.varied, sensitivities)
     out.e[row] = error
     for j in range(sensitivities.d.shape[0]):
         out.de[row, j] = sensitivities.d[j]
     if not measured.closed:
         return
     errors, variances = on.run.errors, on.run.variances
-    set_innovations(error, measured.rows[row, SD], obs.kind, on.H, on.run)
-    update(errors, variances, on.H, on.state, on.step, UNLIMITED, on.work)
+    set_innovations(error, measured.rows[row, SD], obs.kind, at.H, on.run)
+    update(errors, variances, at.H, state, on.step, UNLIMITED, on.work)
     update_sensitivities(on.work.gain[0], sensitivities)
     deviate(on.run, on.work)
     out.S[row] = variances[0]

@@ -15,19 +15,18 @@ from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.joint_update import (
     JointState,
     UpdateWork,
-    between,
     empty_work,
     propagate_covariances,
     rows_by,
-    unknowns_between,
     update,
 )
 from tilth.estimator.filters.measurement_model import (
     GATES,
     NOISE_LEVELS,
+    Expected,
+    innovation,
     noise_factor,
     observation,
-    predict_measurement,
 )
 from tilth.estimator.filters.propagation import (
     EVERY,
@@ -149,10 +148,7 @@ class SegmentRun(NamedTuple):
     plant: Plant
     step: Transition
     work: UpdateWork
-    x_at: Array  # (30,), state at a measurement
-    h: Array  # (30 + n,), Jacobian of a measurement over it and all unknowns
-    H: Array  # (30 + a,), the same over the joint state at the tick
-    H_unknowns: Array  # (a,), its last part
+    at: Expected  # H is (30 + a,), over the joint state: H_unknowns is its last part
     error: Array  # (1,), innovation
     variance: Array  # (1,), of its noise, then of it
 
@@ -167,7 +163,8 @@ def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, consid
     step, work = empty_transition(na, na, P.shape[0]), empty_work(P.shape[0], n)
     return SegmentRun(
         state, estimate.instrument, empty_plant(setup, na), step, work,
-        np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), H, H[N_STATES:], np.zeros(1), np.zeros(1),
+        Expected(np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), H, H[N_STATES:]),
+        np.zeros(1), np.zeros(1),
     )  # fmt: skip
 
 
@@ -191,19 +188,15 @@ def take_measurement(
     ticks: Array, row: Array, k: int, u: float, setup: RigSetup, tally: RowTally, on: SegmentRun
 ) -> None:
     """Update the state with a row, (6,), of the record, after tick k at speed u, m/s; add to the tally."""
-    x, following, counts = on.state.x, on.state.following, tally.counts
-    obs = observation(ticks, row, k, u, x, following, on.state.unknowns)
-    for i in range(N_STATES):
-        on.x_at[i] = x[i] + obs.share * (following[i] - x[i])
-    error = row[VALUE] - predict_measurement(on.x_at, obs, on.state.unknowns, setup, on.h)
-    noise_variance = (row[SD] * noise_factor(obs.kind, on.state.unknowns)) ** 2
+    state, counts = on.state, tally.counts
+    obs = observation(ticks, row, k, u, state.x, state.following, state.unknowns)
+    error = innovation(row[VALUE], obs, state, state.places, setup, on.step, on.at)
+    noise_variance = (row[SD] * noise_factor(obs.kind, state.unknowns)) ** 2
     if not (math.isfinite(error) and math.isfinite(noise_variance)):
         counts[BAD] += 1.0
         return
     on.error[0], on.variance[0] = error, noise_variance
-    between(obs.share, on.h, on.step, on.H)
-    unknowns_between(obs.share, on.h, on.state.places, on.step, on.H_unknowns)
-    if not update(on.error, on.variance, on.H, on.state, on.step, GATES[obs.kind], on.work):
+    if not update(on.error, on.variance, on.at.H, state, on.step, GATES[obs.kind], on.work):
         counts[GATED] += 1.0
         return
     counts[USED] += 1.0
