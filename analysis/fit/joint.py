@@ -28,6 +28,7 @@ from tilth.analysis.fit.side_by_side import Map
 from tilth.analysis.fit.window_terms import SegmentTerms, places, terms_at
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
+from tilth.estimator.filters.newton import newton_step, share_of_step
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.methods import pem
 from tilth.schemas.machine import Machine
@@ -107,7 +108,7 @@ def linearise(
         settled = np.max(sizes[SIX]) < SETTLED and np.max(sizes) < ALL_SETTLED
         if settled or k == MOST_STEPS - 1:
             break  # the terms are those of the points
-        share = 1.0 if k < MOST_STEPS // 2 else 0.5
+        share = share_of_step(k, MOST_STEPS)
         point += share * np.clip(moved - point, -longest, longest)  # what runs away holds up no other
         points += share * np.clip(moved_points - points, -longest, longest)
     return Linearised(
@@ -139,13 +140,13 @@ def _newton(
     terms = [one for segment in told for one in with_room(segment, spread)]
     information = prior + sum(one.information for one in terms)
     gradient = prior @ (point - mean)[shared] + sum(one.gradient for one in terms)
-    change = np.asarray(np.linalg.solve(information, -gradient), np.float64)
+    change, sds = newton_step(gradient, information)
     moved = point.copy()
     moved[shared] += change
     points = np.tile(moved, (len(told), 1))
     if np.any(spread):
         points[:, SIX] += [own_change(segment, spread, change) for segment in told]
-    return moved, points, np.sqrt(np.diag(_inverse(information)))
+    return moved, points, sds
 
 
 def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = None) -> Joint:

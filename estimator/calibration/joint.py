@@ -9,7 +9,7 @@ ground's forces, and over half a minute of tight turns the open loop that it nee
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import repeat
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tilth.estimator.calibration.residuals import KindResiduals, residuals, squares_of
 from tilth.estimator.filters import fit_covariance, likelihood, scoring, unknowns
 from tilth.estimator.filters.likelihood import Iterate, Search
+from tilth.estimator.filters.newton import Rule, minimise
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.record.record import KIND, Record
@@ -61,6 +62,7 @@ class _Sum:
     """Gradient and information of the records at a point, without the prior."""
 
     def __init__(self, searches: Sequence[Search], point: Array, before: Sequence[Iterate] | None) -> None:
+        self.point = point
         with np.errstate(all="ignore"):  # after a step that is too long nothing is finite; it is rejected
             self.at = [
                 likelihood.with_noise_levels(search, likelihood.evaluate(search, point, past))
@@ -106,61 +108,55 @@ def fit(
         if held:
             for search in searches:
                 scoring.leave_out_outliers(search, point)
-        point, now, size, steps = _search(searches, point, about, free, most, told if held else (), progress)
-        made = _result(searches, now, point, about, free, steps, size < SETTLED)
+        active = searches[0].active
+        awaited = np.isin(active, told if held else ())
+        problem = _Problem(searches, np.diag(free[active] ** -2.0), about, awaited, progress)
+        rule = Rule(LONGEST * free[active], True, 0.1, 1e-6, most=MOST_DAMPING)
+        ended = minimise(problem, _Sum(searches, point, None), rule, most)
+        point, settled = ended.at.point, problem.size(ended.sizes) < SETTLED
+        made = _result(searches, ended.at, point, about, free, ended.steps, settled)
     assert made is not None
     return made
 
 
-def _search(
-    searches: Sequence[Search], point: Array, mean: Array, sd: Array, most: int, told: Sequence[int],
-    progress: Progress,
-) -> tuple[Array, "_Sum", float, int]:  # fmt: skip
-    """(where it ended, what is there, largest last step of what is told in sds, steps)."""
-    active = searches[0].active
-    prior = np.diag(sd[active] ** -2.0)
-    of_told = np.isin(active, told)
-    now, damping, size, steps = _Sum(searches, point, None), 1e-3, np.inf, 0
-    for steps in range(1, most + 1):
-        gradient, information = _with_prior(now.each, prior, (point - mean)[active])
-        sds = np.sqrt(np.diag(np.linalg.inv(information)))
-        moved, then, damping = _step(searches, now, point, (gradient, information, prior, mean, sd), damping)
-        if then is None:
-            left = np.abs(np.linalg.solve(information, gradient)) / sds
-            return point, now, float(np.max(left[of_told], initial=0.0)), steps
-        size = float(np.max((np.abs(moved - point)[active] / sds)[of_told], initial=0.0))
-        progress(steps, size)
-        point, now = moved, then
-        if len(told) and size < SETTLED:
-            break
-    return point, now, size, steps
+class _Problem(NamedTuple):
+    """All records as newton.Problem."""
 
+    searches: Sequence[Search]
+    prior: Array  # (a, a)
+    mean: Array  # [n]
+    awaited: NDArray[np.bool_]  # (a,), which unknowns must settle
+    progress: Progress
 
-def _step(
-    searches: Sequence[Search], now: _Sum, point: Array, terms: tuple[Array, Array, Array, Array, Array],
-    damping: float,
-) -> tuple[Array, _Sum | None, float]:  # fmt: skip
-    """(next point, what is there, damping after it); None where no step lowers the cost."""
-    gradient, information, prior, mean, sd = terms
-    active = searches[0].active
-    away = (point - mean)[active]
-    cost = now.cost + 0.5 * float(away @ prior @ away)
-    while damping < MOST_DAMPING:
-        damped = information + damping * np.diag(np.diag(information))
-        step = np.asarray(np.linalg.solve(damped, -gradient), np.float64)
-        step = np.clip(step, -LONGEST * sd[active], LONGEST * sd[active])  # what runs away holds up no other
-        moved = point.copy()
-        moved[active] += step
-        away = (moved - mean)[active]
+    def away(self, point: Array) -> Array:
+        """From the prior's mean, (a,)."""
+        return np.asarray((point - self.mean)[self.searches[0].active], np.float64)
+
+    def terms(self, at: _Sum) -> tuple[_Sum, Array, Array]:
+        return at, *_with_prior(at.each, self.prior, self.away(at.point))
+
+    def after(self, at: _Sum, change: Array) -> _Sum | None:
+        moved = at.point.copy()
+        moved[self.searches[0].active] += change
         with np.errstate(all="ignore"):  # derivatives cost ten times as much: only of steps that are taken
-            after = sum(likelihood.likelihood_at(search, moved) for search in searches)
-        after += 0.5 * float(away @ prior @ away)
-        if np.isfinite(after) and after < cost + 0.2:
-            then = _Sum(searches, moved, now.at)
-            if np.isfinite(then.cost):
-                return moved, then, max(damping * 0.1, 1e-6)
-        damping *= 30.0
-    return point, None, damping
+            cost = sum(likelihood.likelihood_at(search, moved) for search in self.searches)
+        here, there = (0.5 * float(by @ self.prior @ by) for by in map(self.away, (at.point, moved)))
+        if not (np.isfinite(cost) and cost + there < at.cost + here + 0.2):
+            return None
+        then = _Sum(self.searches, moved, at.at)
+        return then if np.isfinite(then.cost) else None
+
+    def taken(self, step: int, at: _Sum) -> _Sum:
+        return at
+
+    def settled(self, step: int, before: _Sum, at: _Sum, sizes: Array) -> bool:
+        size = self.size(sizes)
+        self.progress(step, size)
+        return bool(np.any(self.awaited)) and size < SETTLED
+
+    def size(self, sizes: Array) -> float:
+        """Of a step, by what must settle."""
+        return float(np.max(sizes[self.awaited], initial=0.0))
 
 
 def _cost(searches: Sequence[Search], at: Iterable[Iterate]) -> float:

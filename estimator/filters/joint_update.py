@@ -1,5 +1,5 @@
-"""What both filters do with a record: rows up to a tick, covariances from tick to tick, the update with one
-measurement, and its Jacobian between two ticks."""
+"""What both filters do with a record: rows up to a tick, covariances from tick to tick, and the update with
+one measurement."""
 
 from typing import NamedTuple
 
@@ -68,31 +68,6 @@ def propagate_covariances(state: JointState, step: Transition) -> None:
     """Of all filters, by a tick."""
     for c in range(state.P.shape[0]):
         propagate_covariance(state.P[c], c, step, state.x[X_PSI])
-
-
-@inner_kernel
-def between(share: float, h: Array, step: Transition, H: Array) -> None:
-    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + a,), that at an instant a
-    share of a tick later, between which the state is linear."""
-    for j in range(N_STATES):
-        H[j] = (1.0 - share) * h[j]
-    for i in range(N_STATES):
-        if h[i] != 0.0 and share != 0.0:
-            for j in range(N_STATES):
-                H[j] += share * h[i] * step.F[i, j]
-
-
-@inner_kernel
-def unknowns_between(share: float, h: Array, step: Transition, out: Array) -> None:
-    """Fill out (a,), as `between`, over the active unknowns."""
-    na = out.shape[0]
-    for j in range(na):
-        out[j] = h[N_STATES + j]
-    for k in range(N_COUPLED):
-        i = k if k < D_POSITION else k + POSITION_LATER
-        if h[i] != 0.0 and share != 0.0:
-            for j in range(na):
-                out[j] += share * h[i] * step.F_unknowns[k, j]
 
 
 @inner_kernel

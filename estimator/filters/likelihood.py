@@ -12,10 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import Innovations, Measured, Varied, run_filter
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, X_POSITION, X_PSI, X_R, Places, Point
+from tilth.estimator.filters.states import N_STATES, X_POSITION, X_PSI, X_R, Places
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
 from tilth.estimator.record.record import (
     EAST,
@@ -137,8 +136,9 @@ def innovations(
     )  # fmt: skip
     if responding is None:
         responding = np.full(len(places), len(instruments) > 0)
-    at = Point(point.copy(), np.exp(point[unknowns.SIX]), unknowns.geometry(setup.geometry, point))
-    run_filter(measured, start.copy(), at, setup, Varied(places, instruments, responding, nearby), out)
+    run_filter(
+        measured, start.copy(), point.copy(), setup, Varied(places, instruments, responding, nearby), out
+    )
     return out
 
 
@@ -233,12 +233,28 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
     return replace(at, de=de, dS=dS)
 
 
-def response_to_steering(search: Search, point: Array) -> Array:
-    """Derivatives of the open-loop response to the known wheel angles, without measurements, by those of the
-    six that are active: (m, s). 0 where the open loop runs away, as it may in a sharp turn: such a record
-    tells of tyres by OTHER_TYRES_SD alone."""
-    instruments = _run(search, point, search.active[search.active < 6], closed=False).de
+def response_to_steering(search: Search, point: Array, places: Places | None = None) -> Array:
+    """Derivatives of the open-loop response to the known wheel angles, without measurements, by unknowns at
+    `places`, those of the six that are active if None: (m, s). 0 where the open loop runs away, as it may in
+    a sharp turn: such a record tells of tyres by OTHER_TYRES_SD alone."""
+    asked = search.active[search.active < 6] if places is None else places
+    instruments = _run(search, point, asked, closed=False).de
     return instruments if bool(np.all(np.abs(instruments) < RUN_AWAY)) else np.zeros_like(instruments)
+
+
+def whitened_by_steering(search: Search, point: Array, places: Places) -> tuple[Array, Array]:
+    """(innovations (m,) over their sds, their derivatives (m, s) by the unknowns at `places` along the path
+    that the steering alone gives), in the order of the record's rows, for a stage behind the filter.
+
+    The slopes are those of `response_to_steering`, passed through the gains at the point: nothing that the
+    ground has done is in them. Rows of one tick are updated one after the other, so their innovations are
+    uncorrelated, too: this is the tick's innovation vector times the inverse of a Cholesky factor of its
+    covariance. A row that `search` leaves out is 0, as are those by which the state only settles.
+    """
+    instruments = response_to_steering(search, point, places)
+    made = _run(search, point, places, instruments=instruments, responding=np.ones(len(places), np.bool_))
+    weights = search.scored / np.sqrt(made.S)
+    return made.e * weights, made.de * weights[:, None]
 
 
 def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:

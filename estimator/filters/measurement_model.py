@@ -1,17 +1,18 @@
 """What the filters expect of a measurement: each sensor's own model, by the kind of the measurement.
 
-A sensor's file in sensors/ has its prediction with the Jacobian over states and unknowns, its noise and its
-gate. The wheel angle, which is an input, has such a file too.
+A sensor's file in sensors/ has its prediction with slopes by states and unknowns, its noise and its gate. The
+wheel angle, which is an input, has such a file too. Predictions and slopes are generated from symbols
+(deploy/observation_equations.py).
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
-from tilth.estimator.filters.propagation import Active
+from tilth.estimator.filters.joint_update import JointState
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors import heading, position, roll, velocity, yaw_rate
 from tilth.estimator.filters.sensors.heading import predict_heading
@@ -20,7 +21,8 @@ from tilth.estimator.filters.sensors.position import predict_position
 from tilth.estimator.filters.sensors.roll import predict_roll
 from tilth.estimator.filters.sensors.velocity import predict_velocity
 from tilth.estimator.filters.sensors.yaw_rate import observe_yaw_rate, predict_yaw_rate
-from tilth.estimator.filters.states import DT, Point
+from tilth.estimator.filters.states import DT, N_STATES, Places
+from tilth.estimator.filters.transition import D_POSITION, N_COUPLED, POSITION_LATER, Transition
 from tilth.estimator.record.record import HEADING, KIND, OFFSET, PLACE, PSI, ROLL_ANGLE, VELOCITY, YAW_RATE
 
 Array = NDArray[np.float64]
@@ -45,20 +47,69 @@ def observation(
 
 
 @inner_kernel
-def predict_measurement(
-    x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
-) -> float:
-    """Predicted measurement at state x, (30,); fills h, (30 + a,), with its Jacobian over the joint state."""
-    h[:] = 0.0
+def predict_measurement(x: Array, obs: Observation, unknowns: Array, setup: RigSetup, slopes: Array) -> float:
+    """Predicted measurement at state x, (30,), and a point of the unknowns, (n,); fills slopes, (30 + n,),
+    with its derivatives by both."""
+    slopes[:] = 0.0
+    body = body_of(obs.kind, obs.place)
     if obs.kind == YAW_RATE:
-        return float(predict_yaw_rate(x, obs, active, h))
+        return float(predict_yaw_rate(x, unknowns, body, obs, setup, slopes))
     if obs.kind == HEADING:
-        return float(predict_heading(x, obs, h))
+        return float(predict_heading(x, unknowns, body, obs, setup, slopes))
     if obs.kind == ROLL_ANGLE:
-        return float(predict_roll(x, obs, point, active, h))
+        return float(predict_roll(x, unknowns, body, obs, setup, slopes))
     if obs.kind == VELOCITY:
-        return float(predict_velocity(x, obs, point, active, setup, h))
-    return float(predict_position(x, obs, point, active, setup, h))
+        return float(predict_velocity(x, unknowns, body, obs, setup, slopes))
+    return float(predict_position(x, unknowns, body, obs, setup, slopes))
+
+
+@inner_kernel
+def between(share: float, h: Array, step: Transition, H: Array) -> None:
+    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + n,), that at an instant a
+    share of a tick later, between which the state is linear."""
+    for j in range(N_STATES):
+        H[j] = (1.0 - share) * h[j]
+    for i in range(N_STATES):
+        if h[i] != 0.0 and share != 0.0:
+            for j in range(N_STATES):
+                H[j] += share * h[i] * step.F[i, j]
+
+
+@inner_kernel
+def unknowns_between(share: float, h: Array, places: Places, step: Transition, out: Array) -> None:
+    """Fill out (a,), as `between`, over the active unknowns, at `places`."""
+    na = out.shape[0]
+    for j in range(na):
+        out[j] = h[N_STATES + places[j]]
+    for k in range(N_COUPLED):
+        i = k if k < D_POSITION else k + POSITION_LATER
+        if h[i] != 0.0 and share != 0.0:
+            for j in range(na):
+                out[j] += share * h[i] * step.F_unknowns[k, j]
+
+
+class Expected(NamedTuple):
+    """Work arrays of an innovation."""
+
+    x: Array  # (30,), state at the measurement
+    h: Array  # (30 + n,), derivatives of the prediction by it and all unknowns
+    H: Array  # (30 or more,), the same by the state at the tick
+    H_unknowns: Array  # (a,), and by the active unknowns
+
+
+@inner_kernel
+def innovation(
+    reading: float, obs: Observation, state: JointState, places: Places, setup: RigSetup, step: Transition,
+    at: Expected,
+) -> float:  # fmt: skip
+    """What a reading is more than predicted; fills the arrays. The state is linear in time over the tick."""
+    x, following = state.x, state.following
+    for i in range(N_STATES):
+        at.x[i] = x[i] + obs.share * (following[i] - x[i])
+    error = reading - predict_measurement(at.x, obs, state.unknowns, setup, at.h)
+    between(obs.share, at.h, step, at.H)
+    unknowns_between(obs.share, at.h, places, step, at.H_unknowns)
+    return float(error)
 
 
 @inner_kernel

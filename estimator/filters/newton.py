@@ -1,6 +1,8 @@
-"""A step of Newton's method towards the maximum of a posterior: what all searches for one have in common."""
+"""Newton's method towards the maximum of a posterior: what all searches for one have in common."""
 
-from typing import NamedTuple
+import math
+from enum import Enum
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +10,10 @@ from numpy.typing import NDArray
 from tilth.estimator.filters.likelihood import inverse
 
 Array = NDArray[np.float64]
+At = TypeVar("At")
+
+FIRST_DAMPING: Final = 1e-3
+MORE: Final = 30.0  # factor on the damping of a step that does not lower the cost
 
 
 class NewtonStep(NamedTuple):
@@ -17,6 +23,52 @@ class NewtonStep(NamedTuple):
     sds: Array  # (a,), posterior ones by the information, to see how far that is
 
 
+class End(Enum):
+    """How a search has ended."""
+
+    SETTLED = "settled"  # by the rule of its problem
+    STUCK = "stuck"  # no step lowers the cost
+    OUT_OF_STEPS = "out of steps"
+
+
+class Minimum(NamedTuple, Generic[At]):
+    """Where a search has ended."""
+
+    at: At
+    steps: int
+    end: End
+    sizes: Array  # (a,), of its last step in posterior sds; if stuck, of the step that Newton would take
+    promised: float  # nats by which Newton's last step should have lowered the cost
+
+
+class Problem(Protocol[At]):
+    """A cost in nats over a unknowns, as a search sees it. At: a point with all that is known there."""
+
+    def terms(self, at: At) -> tuple[At, Array, Array]:
+        """(the point with its derivatives, gradient (a,), information (a, a))."""
+
+    def after(self, at: At, change: Array) -> At | None:
+        """Where a change (a,) leads; None if the cost is not lower there."""
+
+    def taken(self, step: int, at: At) -> At:
+        """The point after so many steps, as the search goes on from it."""
+
+    def settled(self, step: int, before: At, at: At, sizes: Array) -> bool:
+        """Whether it may end there. sizes: (a,), of the last step, in posterior sds."""
+
+
+class Rule(NamedTuple):
+    """How a search changes its damping, and how far one step may go."""
+
+    limits: Array  # (a,)
+    each: bool  # whether each unknown is limited by itself, so that what runs away holds up no other
+    less: float  # factor on the damping after a step that lowers the cost
+    least: float
+    most: float = math.inf  # so much is not tried
+    tries: int = 100  # of a step, each with MORE damping than the one before
+    at_once: bool = False  # lessen it only if the first try does
+
+
 def newton_step(
     gradient: Array,
     information: Array,
@@ -24,20 +76,23 @@ def newton_step(
     moving: NDArray[np.bool_] | None = None,
     damping: float = 0.0,
     limits: Array | None = None,
+    each: bool = False,
 ) -> NewtonStep:
     """The step to the minimum of a cost in nats, by its gradient (a,) and information (a, a).
 
     moving: (a,), which unknowns may move, all if None; the others are taken as known. damping: as by
     Levenberg and Marquardt, in shares of the information's diagonal. limits: (a,), how far one step may go; a
-    longer one is shortened as a whole and keeps its direction. Raises numpy.linalg.LinAlgError where data and
-    prior leave something open.
+    longer one is shortened as a whole and keeps its direction, or each unknown by itself. Raises
+    numpy.linalg.LinAlgError where data and prior leave something open.
     """
     free = np.ones(len(gradient), np.bool_) if moving is None else moving
     damped = information[np.ix_(free, free)]
     damped = damped + damping * np.diag(np.diag(damped))
     change = np.zeros(len(gradient))
     change[free] = np.linalg.solve(damped, -gradient[free])
-    if limits is not None:
+    if limits is not None and each:
+        change = np.clip(change, -limits, limits)
+    elif limits is not None:
         change /= max(float(np.max(np.abs(change) / limits, initial=0.0)), 1.0)
     return NewtonStep(change, np.sqrt(np.diag(inverse(information))))
 
@@ -46,3 +101,38 @@ def share_of_step(k: int, most: int) -> float:
     """Of Newton's step, that the k-th of at most `most` steps goes where no cost is seen to fall: the later
     ones are halved, so that a search that goes to and fro ends."""
     return 1.0 if k < most // 2 else 0.5
+
+
+def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]:
+    """The minimum of a problem's cost from a point on, by at most so many damped steps."""
+    assert most > 0
+    damping = FIRST_DAMPING
+    for step in range(1, most + 1):
+        at, gradient, information = problem.terms(at)
+        newton, sds = newton_step(gradient, information)
+        promised = -float(gradient @ newton) / 2.0
+        descent = _descend(problem, at, gradient, information, rule, damping)
+        change, then, damping = descent
+        if then is None:
+            return Minimum(at, step, End.STUCK, np.abs(newton) / sds, promised)
+        before, at, sizes = at, problem.taken(step, then), np.abs(change) / sds
+        if problem.settled(step, before, at, sizes):
+            return Minimum(at, step, End.SETTLED, sizes, promised)
+    return Minimum(at, most, End.OUT_OF_STEPS, sizes, promised)
+
+
+def _descend(
+    problem: Problem[At], at: At, gradient: Array, information: Array, rule: Rule, damping: float
+) -> tuple[Array, At | None, float]:
+    """(step, what is there after it, damping of the next one); None in the second place if no step lowers the
+    cost."""
+    for tried in range(rule.tries):
+        more = damping * MORE**tried
+        if more >= rule.most:
+            break
+        change, _ = newton_step(gradient, information, damping=more, limits=rule.limits, each=rule.each)
+        then = problem.after(at, change)
+        if then is not None:
+            kept = rule.at_once and tried > 0
+            return change, then, more if kept else max(more * rule.less, rule.least)
+    return np.zeros(len(gradient)), None, damping

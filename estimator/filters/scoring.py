@@ -26,7 +26,7 @@ from tilth.estimator.filters.likelihood import (
     with_noise_levels,
 )
 from tilth.estimator.filters.measurement_model import outliers
-from tilth.estimator.filters.newton import newton_step, share_of_step
+from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step, share_of_step
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
@@ -54,18 +54,8 @@ LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
 EMPTY_PROMISE: Final = 2.0
 """Nats: a search that has ended though its derivatives promise more than this is stuck, since they hold the
 gains. On side slopes one of 40 such fits took all steering for rough ground, 100 nats above the maximum."""
-TRIES: Final = 4  # of a step, each with MORE damping than the one before
-MORE: Final = 30.0
+TRIES: Final = 4  # of a step
 LEAST_DAMPING: Final = 1e-4
-
-
-class Minimum(NamedTuple):
-    """Where a search has ended."""
-
-    at: Iterate
-    iterations: int
-    left: float  # posterior sds of any unknown that Newton's next step would go; 0 where all has settled
-    promised: float  # nats by which Newton's last step should have lowered the cost
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +88,13 @@ def maximise_posterior(
     point = mean.copy()
     point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, ROUGH_START, 0.0)
     minimum = _minimise(search, evaluate(search, point))
-    stuck = minimum.promised > EMPTY_PROMISE
+    stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > EMPTY_PROMISE
     if stuck or setup.scale != 1.0:
         # What the ground's shaking tells of a roll mode is not in derivatives with gains held: along them no
         # step may lower the cost. Where `_apart` does not follow, the maximum itself is asked for.
         minimum = _minimise(search, minimum.at, exact=True)
-    found, converged = minimum.at, minimum.left < ARRIVED_STEP
+    found, converged = minimum.at, minimum.end is End.SETTLED
+    converged |= minimum.end is End.STUCK and bool(np.max(minimum.sizes) < ARRIVED_STEP)
     _, information = gradient_and_information(search, found, scores_at(search, found))
     counted = information
     if setup.scale == 1.0:
@@ -116,7 +107,7 @@ def maximise_posterior(
     return Posterior(
         found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
         record_information,
-        found.cost / max(len(record.rows), 1), gain, minimum.iterations, len(record.rows),
+        found.cost / max(len(record.rows), 1), gain, minimum.steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
     )  # fmt: skip
 
@@ -131,46 +122,42 @@ def _leave_out(search: Search, e: Array, S: Array) -> None:
     search.used = np.where(outliers(search.record.rows, e, S), 0.0, search.used)
 
 
-def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum:
-    """The minimum of the cost, from a starting point. exact: derivatives have in them what the gains do."""
-    of_six, damping, limit = search.active < 6, 1e-3, ROUGHLY_FLAT if search.setup.scale == 1.0 else FLAT_COST
-    for k in range(1, MOST_ITERATIONS + 1):
-        at = with_noise_levels(search, at)
-        if exact:
-            at = with_gains(search, at)
-        gradient, information = gradient_and_information(search, at, scores_at(search, at))
-        newton, sds = newton_step(gradient, information)
-        promised = -float(gradient @ newton) / 2.0
-        step, tried, then = _descend(search, at, gradient, information, damping)
-        sizes = np.abs(step) / sds
-        if then is None:
-            return Minimum(at, k, float(np.max(np.abs(newton) / sds)), promised)
-        damping = max(damping * 0.2, LEAST_DAMPING) if tried == 1 else damping * MORE ** (tried - 1)
-        if k == 2 and not exact:  # outliers are chosen once in a fit, at this point
-            _leave_out(search, then.e, then.S)
-            then = evaluate(search, then.point, then)
-        flat, at = abs(then.cost - at.cost) < limit, then
-        # Only the six must be settled: a noise level that has no effect may go to and fro.
-        settled = flat and bool(np.max(sizes[of_six], initial=0.0) < SETTLED_STEP)
-        if k > 2 and (settled or bool(np.max(sizes) < SMALL_STEP)):
-            return Minimum(at, k, 0.0, promised)
-    return Minimum(at, MOST_ITERATIONS, math.inf, math.inf)
+class _Likelihood(NamedTuple):
+    """A search as newton.Problem. exact: derivatives have in them what the gains do."""
 
+    search: Search
+    exact: bool
 
-def _descend(
-    search: Search, at: Iterate, gradient: Array, information: Array, damping: float
-) -> tuple[Array, int, Iterate | None]:
-    """(step, tries, what is there after it); None in the third place if no step lowers the cost."""
-    limits = _step_limits(search)
-    for tried in range(1, TRIES + 1):
-        more = damping * MORE ** (tried - 1)
-        step = newton_step(gradient, information, damping=more, limits=limits).change
+    def terms(self, at: Iterate) -> tuple[Iterate, Array, Array]:
+        at = with_noise_levels(self.search, at)
+        if self.exact:
+            at = with_gains(self.search, at)
+        return at, *gradient_and_information(self.search, at, scores_at(self.search, at))
+
+    def after(self, at: Iterate, change: Array) -> Iterate | None:
         trial = at.point.copy()
-        trial[search.active] += step
-        then = evaluate(search, trial, at)
-        if np.isfinite(then.cost) and then.cost <= at.cost + SLACK:
-            return step, tried, then
-    return np.zeros(len(search.active)), TRIES, None
+        trial[self.search.active] += change
+        then = evaluate(self.search, trial, at)
+        return then if np.isfinite(then.cost) and then.cost <= at.cost + SLACK else None
+
+    def taken(self, step: int, at: Iterate) -> Iterate:
+        if step != 2 or self.exact:
+            return at
+        _leave_out(self.search, at.e, at.S)  # outliers are chosen once in a fit, at this point
+        return evaluate(self.search, at.point, at)
+
+    def settled(self, step: int, before: Iterate, at: Iterate, sizes: Array) -> bool:
+        """Only the six must be settled: a noise level that has no effect may go to and fro."""
+        limit = ROUGHLY_FLAT if self.search.setup.scale == 1.0 else FLAT_COST
+        six = float(np.max(sizes[self.search.active < 6], initial=0.0))
+        flat = abs(at.cost - before.cost) < limit
+        return step > 2 and ((flat and six < SETTLED_STEP) or float(np.max(sizes)) < SMALL_STEP)
+
+
+def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum[Iterate]:
+    """The minimum of the cost, from a starting point."""
+    rule = Rule(_step_limits(search), False, 0.2, LEAST_DAMPING, tries=TRIES, at_once=True)
+    return minimise(_Likelihood(search, exact), at, rule, MOST_ITERATIONS)
 
 
 def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from paths import ROOT
 
-from tilth.deploy import codes_page, motion_equations
+from tilth.deploy import codes_page, motion_equations, observation_equations
 from tilth.deploy.generate import PROTO, main
 
 pytestmark = pytest.mark.skipif(shutil.which("uv") is None, reason="needs uv")
@@ -17,6 +17,7 @@ FILES = {
     "schemas/machine.schema.json",
     motion_equations.TARGET,
     codes_page.TARGET,
+    observation_equations.TARGET,
     "deploy/constraints.txt",
 }
 

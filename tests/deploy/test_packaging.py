@@ -4,13 +4,14 @@ import json
 import zipfile
 from email import message_from_bytes
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from google.protobuf import descriptor_pb2
 from grpc_tools import protoc
 from paths import ROOT
 
-from tilth.deploy import motion_equations
+from tilth.deploy import motion_equations, observation_equations
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2
 
@@ -86,10 +87,11 @@ def test_the_shipped_json_schema_is_that_of_the_machine_file() -> None:
     )
 
 
-def test_the_kernels_of_the_motion_are_those_of_its_equations() -> None:
-    shipped = (ROOT / motion_equations.TARGET).read_text()
-    assert shipped == motion_equations.source(), (
-        "run `python -m tilth.deploy.generate` after a change of deploy/motion_equations.py"
+@pytest.mark.parametrize("equations", [motion_equations, observation_equations], ids=["motion", "sensors"])
+def test_the_kernels_are_those_of_their_equations(equations: ModuleType) -> None:
+    shipped = (ROOT / equations.TARGET).read_text()
+    assert shipped == equations.source(), (
+        "run `python -m tilth.deploy.generate` after a change of equations, UNKNOWNS or STATES"
     )
 
 

@@ -1,10 +1,12 @@
-"""Newton's step on quadratic costs, whose minimum is known."""
+"""Newton's step on quadratic costs, whose minimum is known, and searches of a bent valley."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.newton import newton_step, share_of_step
+from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step, share_of_step
 
 Array = NDArray[np.float64]
 
@@ -48,3 +50,53 @@ def test_a_long_step_is_shortened_in_its_direction_and_damping_shortens_it_too(s
 
 def test_later_steps_are_halved() -> None:
     assert [share_of_step(k, 4) for k in range(4)] == [1.0, 1.0, 0.5, 0.5]
+
+
+@dataclass(frozen=True)
+class Valley:
+    """Rosenbrock's, as a sum of squares with Gauss's information; its minimum is at (1, 1). wall: no point
+    beyond it in the first unknown counts as lower."""
+
+    wall: float = 9.0
+
+    def residuals(self, at: Array) -> Array:
+        return np.array([1.0 - at[0], 10.0 * (at[1] - at[0] ** 2)])
+
+    def terms(self, at: Array) -> tuple[Array, Array, Array]:
+        slopes = np.array([[-1.0, 0.0], [-20.0 * at[0], 10.0]])
+        return at, slopes.T @ self.residuals(at), slopes.T @ slopes
+
+    def after(self, at: Array, change: Array) -> Array | None:
+        then = at + change
+        before, after = (float(np.sum(self.residuals(here) ** 2)) for here in (at, then))
+        return then if after < before and then[0] < self.wall else None
+
+    def taken(self, step: int, at: Array) -> Array:
+        return at
+
+    def settled(self, step: int, before: Array, at: Array, sizes: Array) -> bool:
+        return bool(np.max(sizes) < 1e-6)
+
+
+def searched(valley: Valley, most: int = 100, tries: int = 12) -> Minimum[Array]:
+    rule = Rule(np.full(2, 0.5), False, 0.2, 1e-9, tries=tries)
+    return minimise(valley, np.array([-1.2, 1.0]), rule, most)
+
+
+def test_a_search_that_settles_has_found_the_minimum_and_never_goes_up() -> None:
+    found = searched(Valley())
+    assert found.end is End.SETTLED and found.promised < 1e-9
+    np.testing.assert_allclose(found.at, 1.0, atol=1e-6)
+
+
+def test_a_search_that_ends_otherwise_says_so_and_how_far_it_would_go() -> None:
+    short, walled = searched(Valley(), 3), searched(Valley(wall=0.3), tries=2)
+    assert (short.end, short.steps) == (End.OUT_OF_STEPS, 3)
+    assert walled.end is End.STUCK and walled.at[0] < 0.3 and np.max(walled.sizes) > 0.1
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_no_step_of_a_search_is_longer_than_its_limits(each: bool) -> None:
+    rule = Rule(np.array([0.1, 0.02]), each, 0.2, 1e-9, tries=12)
+    ends = [minimise(Valley(), np.array([-1.2, 1.0]), rule, most).at for most in range(1, 6)]
+    assert (np.abs(np.diff(ends, axis=0)) <= rule.limits + 1e-12).all()
