@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from tilth.logger.can.lean_can import import_can
+from tilth.logger.child import words_of
 from tilth.schemas.invocation import command, started_as
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import unusual
@@ -138,7 +139,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names of files are bytes: some are in no encoding
             stream.reconfigure(errors="backslashreplace")
-    started_as(_started(sys.argv[0], os.environ), [sys.executable, "-P", "-m", "tilth.cli.background"])
+    started_as(_started(sys.argv[0], os.environ), words_of("tilth.cli.background"))
     parser = _Parser(
         prog=command(),
         description="Records a tractor's CAN buses and estimates how the soil holds the tyres.",

@@ -36,9 +36,9 @@ def packed(value: Any) -> bytes:
 
 
 def unpacked(line: bytes) -> Any:
-    """Raises ValueError where that is no such line."""
+    """Of such a line, with its end or without. Raises ValueError where it is none."""
     try:
-        return pickle.loads(base64.b64decode(line, validate=True))
+        return pickle.loads(base64.b64decode(line.removesuffix(b"\n"), validate=True))
     except Exception as error:  # pickle says so in many ways
         raise ValueError(f"it said what is no answer ({line[:40]!r})") from error
 

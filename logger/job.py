@@ -29,6 +29,7 @@ MOMENT_S: Final = 0.01  # the same, of one that is about to end
 CHUNK: Final = 65536  # bytes, of a pipe
 STOPPED: Final = "it was stopped"
 NO_ANSWER: Final = "it ended without an answer"
+OUT_OF_MEMORY: Final = "it was killed, most likely since this computer has too little memory for it"
 _CRASHES: Final = {signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE, signal.SIGILL}
 _OWN_NAME: Final = re.compile(r"^tilth [a-z]+: ")
 
@@ -249,7 +250,7 @@ def _words(status: int, said: str) -> str:
     its work."""
     by = status - 128 if status > 128 else -status  # of who was started by a shell, or by itself
     if by == signal.SIGKILL:
-        return "it was killed, most likely since this computer has too little memory for it"
+        return OUT_OF_MEMORY
     if by in _CRASHES:
         return f"it crashed ({signal.Signals(by).name})"
     if by > 0 and by in set(signal.Signals):

@@ -291,7 +291,7 @@ from tilth.logger.preparing import Preparing
 said = []
 preparing = Preparing(MACHINE, lambda kind, text: said.append(text))
 deadline = time.monotonic() + 120.0
-while preparing._process is None and time.monotonic() < deadline:
+while preparing._job is None and time.monotonic() < deadline:
     time.sleep(0.02)
 print(said[0], os.environ["NUMBA_CACHE_DIR"], preparing.text, sep="\\n")
 preparing.close()

@@ -1,4 +1,4 @@
-"""How child processes die, each in a process of its own: what is said of it, and that nothing of it is left."""
+"""How child processes die: real ones. What is said of each death, and that nothing is left of it."""
 
 import os
 import signal
@@ -13,10 +13,9 @@ from loopback import until
 
 from tilth.logger import job
 from tilth.logger.child import packed, unpacked, words_of
-from tilth.logger.job import NO_ANSWER, STOPPED, Job, JobEnded
+from tilth.logger.job import NO_ANSWER, OUT_OF_MEMORY, STOPPED, Job, JobEnded
 
 PYTHON = [sys.executable, "-c"]
-OUT_OF_MEMORY = "it was killed, most likely since this computer has too little memory for it"
 SLEEPS = "import signal; signal.pause()"
 ECHO = "import sys\nfor line in sys.stdin.buffer:\n    sys.stdout.buffer.write(line)\n    sys.stdout.flush()"
 FLOOD = "import sys\nwhile True: sys.{}.write('x' * 65536)"
@@ -102,7 +101,7 @@ def test_lines_end_with_it_and_say_where_it_failed() -> None:
     with closing(Job([*PYTHON, "print('a')\nraise SystemExit('no room')"])) as one:
         told = one.lines()
         assert next(told) == b"a"
-        with pytest.raises(JobEnded, match="^no room$"):
+        with pytest.raises(JobEnded, match=r"^no room$"):
             next(told)
 
 
@@ -122,7 +121,7 @@ def test_what_is_no_json_is_no_answer(code: str, expected: str) -> None:
 def test_garbage_is_no_answer_between_parent_and_child(line: bytes) -> None:
     with pytest.raises(ValueError, match="no answer"):
         unpacked(line)
-    assert unpacked(packed([1.5])) == [1.5]
+    assert unpacked(packed([1.5])) == unpacked(packed([1.5]) + b"\n") == [1.5]
 
 
 def test_whoever_looks_now_and_then_never_holds_it_up() -> None:
@@ -135,7 +134,7 @@ def test_another_thread_ends_one_that_is_waited_for() -> None:
     with closing(Job([*PYTHON, SLEEPS])) as one:
         other = threading.Timer(0.05, one.kill, ["another is wanted"])
         other.start()
-        with pytest.raises(JobEnded, match="^another is wanted$"):
+        with pytest.raises(JobEnded, match=r"^another is wanted$"):
             one.next()
         other.join()
         one.kill()  # nobody any more
