@@ -11,7 +11,7 @@ from types import FrameType
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, duration, saying
 from tilth.logger.child import words_of
 from tilth.logger.display import Display
 from tilth.logger.job import Job, JobEnded
@@ -19,6 +19,8 @@ from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.schemas.invocation import command
 from tilth.simulator.demo import SPATIAL, Demo, DemoError, comparison_table, reasons, result, run_demo
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
+_say = saying("demo")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -145,10 +147,6 @@ def _page(endpoint: str) -> Callable[[], None]:
     except JobEnded:
         _say(f"there is no page: `{command('monitor')}` says why")
     return page.close
-
-
-def _say(text: str) -> None:
-    print(f"tilth demo: {text}", file=sys.stderr)
 
 
 def _tell(demo: Demo) -> None:
