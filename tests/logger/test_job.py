@@ -173,13 +173,21 @@ def test_what_it_has_started_ends_with_it(goes_on: str) -> None:
     until(lambda: gone(int(line)), lambda: None)
 
 
+# How a parent starts a child, `one`, whose id it tells
+CHILDREN = {
+    "a job": "from tilth.logger.child import words_of\nfrom tilth.logger.job import Job\n"
+    "one = Job(words_of('hanging')).pid",
+    "a pool": "from tilth.analysis.fit.side_by_side import processes\n"
+    "one = stack.enter_context(processes(2)).submit(os.getpid).result()",
+    "a pool of new processes": "from tilth.analysis.fit.side_by_side import processes\n"
+    "one = stack.enter_context(processes(2, 'spawn')).submit(os.getpid).result()",
+}
 PARENT = """
-import os, signal, sys
-from tilth.logger.child import words_of
-from tilth.logger.job import Job
-one = Job(words_of("{module}"))
-print(one.pid, flush=True)
-signal.pause()
+import contextlib, os, signal
+with contextlib.ExitStack() as stack:
+    {}
+    print(one, flush=True)
+    signal.pause()
 """
 
 
@@ -191,8 +199,11 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "hanging"
 
 
-def test_it_ends_when_its_parent_is_killed(module: str) -> None:
-    with closing(Job([*PYTHON, PARENT.format(module=module)])) as parent:
+@pytest.mark.parametrize("child", CHILDREN)
+@pytest.mark.usefixtures("module")
+def test_no_child_outlives_a_parent_that_is_killed(child: str) -> None:
+    code = PARENT.format(CHILDREN[child].replace("\n", "\n    "))
+    with closing(Job([*PYTHON, code])) as parent:
         line = parent.next()
         assert line is not None
         os.kill(parent.pid, signal.SIGKILL)
