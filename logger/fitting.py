@@ -7,7 +7,7 @@ so that a replay does alike.
 
 import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Final, Protocol
@@ -23,7 +23,7 @@ UNDECIDED: Final = object()
 LATE: Final = object()
 GIVEN_UP: Final = "it was given up when the next was asked for"
 LEAVE_S: Final = 2.0  # how long the end of a run waits for the worker
-ONE_THREAD: Final = dict.fromkeys(
+ONE_THREAD: Final[Mapping[str, str]] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )  # a sum split among threads is rounded otherwise, and the other core belongs to the loop
 

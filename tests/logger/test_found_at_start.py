@@ -97,7 +97,7 @@ def test_whatever_lies_there_a_run_begins_and_records(what: str, tmp_path: Path,
 def test_it_is_replaced_by_what_a_run_has_learned(what: str, tmp_path: Path) -> None:
     path = warm_start_file.path_of(tmp_path, MACHINE)
     LYING_THERE[what](path)
-    warm_start_file.write(path, json.dumps(kept()))
+    path.write_text(json.dumps(kept()))
     assert warm_start_file.read(path, MACHINE, NOW) is not None
     assert list(tmp_path.iterdir()) == [path]
 
