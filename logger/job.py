@@ -141,14 +141,15 @@ class Job:
         return not self._exited()
 
     def end(self) -> str:
-        """Wait for its end: what has gone wrong, "" if nothing."""
+        """Tell it no more and wait for its end: what has gone wrong, "" if nothing."""
         while not self._silent:
+            if not self._untold:
+                self._tell_no_more()
             self._turn(math.inf)
         if not self._exits_within(ENDING_S):
             self.kill("it said nothing more and did not end")
             self._exits_within(math.inf)
-        while self._turn(0.0):  # its last words on stderr
-            continue
+        self._turn(0.0)  # its last words on stderr, no more than a pipe holds
         return self.stopped or _words(self._process.returncode, self._said.decode(errors="replace"))
 
     def kill(self, why: str = STOPPED) -> None:
@@ -169,15 +170,14 @@ class Job:
             if stream is not None:
                 stream.close()
 
-    def _turn(self, wait_s: float) -> bool:
-        """Tell and hear what can be told and heard; whether there was any. Waits a moment at most."""
+    def _turn(self, wait_s: float) -> None:
+        """Tell and hear what can be told and heard; waits a moment at most."""
         if time.monotonic() > self._until_s:
             self.kill(f"it was not ready within {_span(self._longest_s)}")
         ready = self._streams.select(min(wait_s, TICK_S))
         for key, _ in ready:
             key.data(key.fileobj)
         self._silent = self._silent or (not ready and self._exited())
-        return bool(ready)
 
     def _tell(self, stdin: IO[bytes]) -> None:
         try:

@@ -112,6 +112,8 @@ def test_lines_end_with_it_and_say_where_it_failed() -> None:
 def test_what_is_no_json_is_no_answer(code: str, expected: str) -> None:
     with closing(Job([*PYTHON, code])) as one, pytest.raises(JobEnded, match=f"^{expected}$"):
         one.json()
+    with closing(Job([*PYTHON, ECHO], [b"[1]"])) as one:
+        assert one.json() == [1]  # it is told that no more comes
     # An answer counts whatever the exit status says.
     with closing(Job([*PYTHON, "print([1])\nraise SystemExit(1)"])) as one:
         assert one.json() == [1]
