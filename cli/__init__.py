@@ -11,7 +11,7 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import suppress
 from importlib.metadata import version
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from tilth.logger.can.lean_can import import_can
+from tilth.logger.child import words_of
 from tilth.schemas.invocation import command, started_as
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import unusual
@@ -82,6 +83,17 @@ def duration(text: str) -> float:
     return value
 
 
+def whole(least: int) -> Callable[[str], int]:
+    """argparse type: a whole number from `least` up."""
+
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(f"{text}: give a whole number from {least} up")
+        return int(text)
+
+    return number
+
+
 def check_folder(folder: Path) -> None:
     """Before a drive, or a computation of minutes, is lost to a name. Raises WrongUse."""
     if not folder.is_dir():
@@ -112,10 +124,15 @@ def add_bus_names(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def saying(command: str) -> Callable[[str], None]:
+    """What a command says beside its answer: to stderr, with its name."""
+    return lambda text: print(f"tilth {command}: {text}", file=sys.stderr, flush=True)
+
+
 def say_unusual(command: str, machine: Machine) -> None:
     """What is rare in a machine file, to stderr."""
     for text in unusual(machine):
-        print(f"tilth {command}: machine file: {text}", file=sys.stderr)
+        saying(command)(f"machine file: {text}")
 
 
 def _started(program: str, environment: Mapping[str, str]) -> list[str]:
@@ -138,7 +155,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names of files are bytes: some are in no encoding
             stream.reconfigure(errors="backslashreplace")
-    started_as(_started(sys.argv[0], os.environ), [sys.executable, "-P", "-m", "tilth.cli.background"])
+    started_as(_started(sys.argv[0], os.environ), words_of("tilth.cli.background"))
     parser = _Parser(
         prog=command(),
         description="Records a tractor's CAN buses and estimates how the soil holds the tyres.",
@@ -154,32 +171,32 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             subparsers.add_parser(name, help=summary)
     args = parser.parse_args(words)
-    status = 0
+    status, say = 0, saying(args.command)
     try:
         status = importlib.import_module(f"tilth.cli.{args.command}").run(args)
         sys.stdout.flush()
     except (MachineError, WrongUse) as error:
-        print(f"tilth {args.command}: {error}", file=sys.stderr)
+        say(str(error))
         return 2
     except CommandFailed as error:
-        print(f"tilth {args.command}: {error}", file=sys.stderr)
+        say(str(error))
         return error.status
     except PermissionError as error:
         refusal = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
-        print(f"tilth {args.command}: {refusal}", file=sys.stderr)
+        say(refusal)
         return 2
     except KeyboardInterrupt:
-        print(f"tilth {args.command}: stopped", file=sys.stderr)
+        say("stopped")
         return 1
     except BrokenExecutor:
         killed = "one of its processes was killed, most likely since memory ran out"
-        print(f"tilth {args.command}: {killed}; give fewer logs, or use another computer", file=sys.stderr)
+        say(f"{killed}; give fewer logs, or use another computer")
         return 1
     except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:  # `tilth fit --json >FILE` on a full disk
         place = error.filename or "standard output"
-        print(f"tilth {args.command}: {place}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
+        say(f"{place}: {(error.strerror or str(error)).lower()}")
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -1,4 +1,5 @@
-"""Runs a command behind all else that the computer does: `python -P -m tilth.cli.background report …`.
+"""Runs a command behind all else that the computer does: `python -P -m tilth.cli.background report …`, or as
+a child that ends with who has started it (logger/child.py).
 
 With the lowest priority, and the first to end where memory runs out. So a report of a run costs the recorder
 nothing that it needs.

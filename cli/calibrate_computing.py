@@ -4,18 +4,17 @@ So what watches live imports no desk, and an estimate that takes a minute costs 
 driver anything.
 """
 
-import json
 import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from tilth.cli.background_command import BackgroundCommand
 from tilth.client.calibration.shown import ComputedSoFar
 from tilth.estimator.calibration.initial_guess import LEAST_DRIVEN_S
 from tilth.estimator.calibration.stage_words import progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
+from tilth.logger.job import Job, JobEnded
 from tilth.schemas.invocation import in_background
 
 LEAST_S: Final = LEAST_DRIVEN_S + 5.0  # of driving, before the first: the estimate misses ends of stretches
@@ -30,7 +29,7 @@ class BackgroundEstimates:
         """options: of `tilth calibrate`, such as --machine M.toml."""
         self.so_far = ComputedSoFar()
         self._options = list(options)
-        self._computing: BackgroundCommand | None = None
+        self._computing: Job | None = None
         self._began_s = 0.0
         self._used_s = 0.0  # of driving, when the last one began
         self._next_s = LEAST_S  # of driving, when the next one begins
@@ -46,7 +45,7 @@ class BackgroundEstimates:
         """Take what is ready; begin what is due."""
         driven_s = fold.tally.moving * TICK_S
         if self._computing is not None:
-            if not self._computing.over:
+            if self._computing.alive:
                 took = time.monotonic() - self._began_s
                 self.so_far.text = f"Computing with {self._used_s:.0f} s of driving, for {took:.0f} s now."
                 return
@@ -75,19 +74,22 @@ class BackgroundEstimates:
             self._next_s = math.inf
             self.so_far.text = "This program cannot compute beside itself; finish, and it is computed then."
             return
-        self._computing = BackgroundCommand(words)
-        self.so_far.busy = True
-
-    def _take(self, computed: BackgroundCommand) -> None:
-        answer, lines = computed.printed()
-        self.close()
-        took = time.monotonic() - self._began_s
         try:
-            found: dict[str, Any] = json.loads(answer)
-        except ValueError:
-            why = lines[-1].removeprefix("tilth calibrate: ")[:300] if lines else "it ended without a word"
+            self._computing = Job(words)
+        except JobEnded as why:
             self._told = f"The estimate failed: {why}."
             return
+        self.so_far.busy = True
+
+    def _take(self, computed: Job) -> None:
+        took = time.monotonic() - self._began_s
+        try:
+            found = computed.json()
+        except JobEnded as why:
+            self._told = f"The estimate failed: {why}."
+            return
+        finally:
+            self.close()
         self.so_far.answer = found
         if found.get("refused"):
             self._next_s = max(self._used_s + SOON_S, LEAST_S)

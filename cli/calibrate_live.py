@@ -2,7 +2,6 @@
 
 import argparse
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
@@ -11,7 +10,7 @@ from typing import Final
 
 import zenoh
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, saying
 from tilth.cli.calibrate_computing import BackgroundEstimates
 from tilth.cli.calibrate_screen import KEYS, line, panel, without_seconds
 from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
@@ -29,6 +28,8 @@ from tilth.schemas.flow import Measurement
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+
+_say = saying("calibrate")
 
 TURN_S: Final = 0.5
 READING_S: Final = 0.4  # longest time of a turn that goes into reading
@@ -194,7 +195,7 @@ def _logs(
         if machine is None:
             machine, _ = machine_in([begun])
         return machine, FollowedLogs(machine, args.logs, bus_names(args.bus, machine), begun)
-    except (LogError, ValueError) as error:
+    except LogError as error:
         raise WrongUse(str(error)) from None
 
 
@@ -267,7 +268,3 @@ def _written(args: argparse.Namespace, *names: str) -> list[str]:
 
 def _buses(args: argparse.Namespace) -> list[str]:
     return [word for pair in args.bus for word in ("--bus", pair)]
-
-
-def _say(text: str) -> None:
-    print(f"tilth calibrate: {text}", file=sys.stderr, flush=True)

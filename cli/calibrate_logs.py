@@ -14,7 +14,7 @@ from tilth.analysis.calibration.machine_text import unfilled
 from tilth.analysis.calibration.page import report_of
 from tilth.analysis.calibration.run import Calibrated, calibrate_logs
 from tilth.analysis.report.page import page
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, saying
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import stages
 from tilth.estimator.calibration import residuals
@@ -26,16 +26,15 @@ from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.readable import readable
 
+_say = saying("calibrate")
+
 WIDTH = 120  # of what goes into a file
 
 
 def run_logs(args: argparse.Namespace) -> int:
     """1 where the drive tells nothing, or nothing was written that was to be."""
     machine, text = _machine(args)
-    try:
-        buses = bus_names(args.bus, machine)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
+    buses = bus_names(args.bus, machine)
     try:
         with log_errors(), ExitStack() as stack:
             progress = _progress(stack, args.json)
@@ -194,7 +193,3 @@ def _show(found: Calibrated) -> None:
         if one.why_not:
             verb = "not told" if one.status == NOT_IDENTIFIABLE else "better told"
             console.print(f"{one.number.words}: {verb} by: {one.why_not}", highlight=False, soft_wrap=True)
-
-
-def _say(text: str) -> None:
-    print(f"tilth calibrate: {text}", file=sys.stderr)

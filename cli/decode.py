@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tilth.cli import WrongUse, add_bus_names
+from tilth.cli import add_bus_names, saying
 from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
@@ -30,6 +30,8 @@ from tilth.schemas.messages import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences import rejection_sentence
+
+_say = saying("decode")
 
 _CLAIM = 60928
 _YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
@@ -103,10 +105,7 @@ def _decoded() -> str:
 
 def run(args: argparse.Namespace) -> int:
     machine, text = _machine(args)
-    try:
-        buses = bus_names(args.bus, machine)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
+    buses = bus_names(args.bus, machine)
     sha256 = machine_sha256(machine, text) if machine is not None else ""
     decoding = _Decoding(machine, sha256, Decoder(machine))
     write_line = _json_line if args.json else _text_line
@@ -240,7 +239,3 @@ def _tell_counts(count: Counter[str], rejected: Counter[str]) -> None:
     _say(f"{count['frames']} frames, {count['messages']} messages")
     for reason, number in sorted(rejected.items()):
         _say(f"rejected {rejection_sentence(reason)}: {number}")
-
-
-def _say(text: str) -> None:
-    print(f"tilth decode: {text}", file=sys.stderr)

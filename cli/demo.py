@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import json
 import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +11,16 @@ from types import FrameType
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, duration, saying
+from tilth.logger.child import words_of
 from tilth.logger.display import Display
+from tilth.logger.job import Job, JobEnded
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.schemas.invocation import command
 from tilth.simulator.demo import SPATIAL, Demo, DemoError, comparison_table, reasons, result, run_demo
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
+_say = saying("demo")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -138,27 +141,12 @@ def _guidance(args: argparse.Namespace, display: Display, stop: Stop, watch: Wat
 
 def _page(endpoint: str) -> Callable[[], None]:
     """Start the live page, as `tilth monitor` does, and say where it is. Returns what ends it."""
-    start = "import sys; from tilth.cli import main; sys.exit(main())"
-    page = subprocess.Popen(
-        [sys.executable, "-c", start, "monitor", "--connect", endpoint, "--port", "0"],
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C in the terminal is for the daemon
-    )
-    assert page.stdout is not None
-    with page.stdout as lines:
-        address = lines.readline().strip()
-    _say(f"watch it at {address}" if address else f"there is no page: `{command('monitor')}` says why")
-
-    def end() -> None:
-        page.terminate()
-        page.wait()
-
-    return end
-
-
-def _say(text: str) -> None:
-    print(f"tilth demo: {text}", file=sys.stderr)
+    page = Job(words_of("tilth.cli", "monitor", "--connect", endpoint, "--port", "0"), aloud=True)
+    try:
+        _say(f"watch it at {(page.next() or b'').decode().strip()}")
+    except JobEnded:
+        _say(f"there is no page: `{command('monitor')}` says why")
+    return page.close
 
 
 def _tell(demo: Demo) -> None:

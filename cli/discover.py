@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, duration, saying
 from tilth.logger.log import whole_file
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
@@ -24,6 +24,8 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
 from tilth.schemas.sentences import notice_sentence
+
+_say = saying("discover")
 
 MOST_MESSAGES = 8
 MOST_CANDIDATES = 5
@@ -236,7 +238,3 @@ def _messages(source: BusDevice) -> str:
         selector = "" if m.selector is None else f"/0x{m.selector:02X}"
         words.append(f"{m.pgn}{selector} " + (f"at {m.per_s:.3g}/s" if m.per_s else f"({m.count})"))
     return ", ".join(words) + (f", {len(often) - MOST_MESSAGES} more" if len(often) > MOST_MESSAGES else "")
-
-
-def _say(text: str) -> None:
-    print(f"tilth discover: {text}", file=sys.stderr)

@@ -1,12 +1,11 @@
 """What the runs of a plan have told, by a process of `tilth fit` over the log that was just written."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from tilth.cli.background_command import BackgroundCommand
+from tilth.logger.job import NO_ANSWER, Job, JobEnded
 from tilth.logger.log.runs import stored_runs
 from tilth.schemas.experiment import ExperimentPlan, edited
 from tilth.schemas.flow import PARAMETERS
@@ -14,6 +13,7 @@ from tilth.schemas.invocation import command, in_background
 from tilth.schemas.spread import of_logarithm, share
 
 EDITED: Final = "The plan was edited after its numbers were predicted: nothing is expected of it."
+_FAILED: Final = "Nothing could be fitted: {}"
 
 
 class FitOfRuns:
@@ -25,7 +25,7 @@ class FitOfRuns:
         marks = ("--mark", f"experiment {plan.name} run * seed {plan.seed}")  # not those of other plans
         report = command("report", *self._logs, "--out", f"{plan.name}.html", "--fit", "all", *marks)
         self._commands = (report,) if logs else ()
-        self._fit: BackgroundCommand | None = None
+        self._fit: Job | None = None
         self._lines: tuple[str, ...] = ()
         here = bool(logs) and all(Path(log).exists() for log in self._logs)
         words = in_background("fit", *self._logs, *marks, "--json") if here else []
@@ -35,8 +35,11 @@ class FitOfRuns:
             fit = command("fit", *self._logs, *marks)
             self._lines = (f"The log is on the daemon's computer. What was learned says there: {fit}",)
         else:
-            self._fit = BackgroundCommand(words)
-            self._lines = ("Fitting what was driven; this may take a minute or two …",)
+            try:
+                self._fit = Job(words)
+                self._lines = ("Fitting what was driven; this may take a minute or two …",)
+            except JobEnded as why:
+                self._lines = (_FAILED.format(why),)
 
     @property
     def over(self) -> bool:
@@ -44,7 +47,7 @@ class FitOfRuns:
 
     def told(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """(lines, commands for a terminal)."""
-        if self._fit is not None and self._fit.over:
+        if self._fit is not None and not self._fit.alive:
             self._lines = _lines(self._fit, self._plan)
             self.close()
         return self._lines, self._commands
@@ -56,12 +59,13 @@ class FitOfRuns:
             self._fit = None
 
 
-def _lines(fit: BackgroundCommand, plan: ExperimentPlan) -> tuple[str, ...]:
-    answer, said = fit.printed()
+def _lines(fit: Job, plan: ExperimentPlan) -> tuple[str, ...]:
     try:
-        return lines_of(json.loads(answer), plan)
-    except (ValueError, LookupError, TypeError):
-        return (f"Nothing could be fitted: {said[-1] if said else 'no reason was given'}",)
+        return lines_of(fit.json(), plan)
+    except JobEnded as why:
+        return (_FAILED.format(why),)
+    except (LookupError, TypeError):
+        return (_FAILED.format(NO_ANSWER),)
 
 
 def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from tilth.analysis.experiment.propose import SHORTEST_S, Progress, WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import Run, is_mcap, open_runs
-from tilth.cli import WrongUse, check_folder
+from tilth.cli import WrongUse, check_folder, saying
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import Steps, bars
 from tilth.logger.log import whole_file
@@ -23,6 +23,8 @@ from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.readable import readable
+
+_say = saying("experiment")
 
 KINDS_PROPOSED = tuple(kind for kind in KINDS if kind != "step")  # what a proposal is compared with
 
@@ -174,7 +176,3 @@ def _same_rig(one: Machine, other: Machine) -> bool:
     """Whether two machine files differ in buses, network and logging at most."""
     outside = {"bus": other.bus, "zenoh": other.zenoh, "log": other.log}
     return one.model_copy(update=outside) == other
-
-
-def _say(text: str) -> None:
-    print(f"tilth experiment: {text}", file=sys.stderr)

@@ -4,7 +4,6 @@ import argparse
 import json
 import math
 import re
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -14,11 +13,13 @@ from tilth.analysis.export.export import SPREADSHEET_ROWS, Exported, ExportPlan,
 from tilth.analysis.export.files import FORMATS, ExportError, check_installed
 from tilth.analysis.export.naming import NAMES, UnknownChannel, choose
 from tilth.analysis.runs.run import Run, open_runs
-from tilth.cli import WrongUse, add_bus_names, say_unusual
+from tilth.cli import WrongUse, add_bus_names, say_unusual, saying
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
+
+_say = saying("export")
 
 Shown = Callable[[int, int], None]
 _PERIOD = re.compile(r"(\d+(?:\.\d+)?)(us|ms|s)")
@@ -119,10 +120,7 @@ def _runs(args: argparse.Namespace, progress: Shown) -> tuple[Run, ...]:
         say_unusual("export", machine[0])
     buses: dict[str, str] = {}
     if args.bus:
-        try:
-            buses = bus_names(args.bus, (machine or machine_in(args.logs))[0])
-        except ValueError as error:
-            raise WrongUse(str(error)) from None
+        buses = bus_names(args.bus, (machine or machine_in(args.logs))[0])
     return open_runs(args.logs, machine=machine, buses=buses, progress=progress, say=_say)
 
 
@@ -149,7 +147,3 @@ def _as_json(one: Exported) -> dict[str, object]:
         "run": one.run, "folder": str(one.folder), "rows": one.rows, "skipped": dict(one.skipped),
         "late": one.late,
     }  # fmt: skip
-
-
-def _say(text: str) -> None:
-    print(f"tilth export: {text}", file=sys.stderr)

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,7 +14,7 @@ from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, ch
 from tilth.analysis.fit.result import as_json
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.analysis.runs.segments import KINDS
-from tilth.cli import WrongUse, add_bus_names
+from tilth.cli import WrongUse, add_bus_names, saying, whole
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.logger.machine_file import read_machine
@@ -23,6 +22,8 @@ from tilth.replay.readers.rig import bus_names
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
+
+_say = saying("fit")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -49,7 +50,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help='only between marks "NAME start" and "NAME end"; * is anything; again for more',
     )  # fmt: skip
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
-    parser.add_argument("--jobs", type=_jobs, metavar="N", help="processes (as many as there are cores)")
+    parser.add_argument("--jobs", type=whole(1), metavar="N", help="processes (as many as there are cores)")
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
 
@@ -67,12 +68,6 @@ def segment(text: str) -> tuple[int, float, float]:
     return number, start_s, end_s
 
 
-def _jobs(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text}: give a number of processes, from 1 up")
-    return int(text)
-
-
 def run(args: argparse.Namespace) -> int:
     """1 where nothing could be fitted."""
     if args.segment and (args.mark or args.kind):
@@ -81,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         with log_errors(), ExitStack() as stack:
             show = bars(stack)
             machine = read_machine(args.machine) if args.machine else None
-            buses = _buses(args.bus, machine)
+            buses = bus_names(args.bus, machine[0] if machine else None)
             runs = open_runs(
                 args.logs, machine=machine, buses=buses, say=_say,
                 progress=lambda done, of: show("reading", done, of),
@@ -131,13 +126,6 @@ def _check_same_rig(runs: Sequence[Run]) -> None:
         raise CannotFit(f"{error}. They differ in {keys}") from None
 
 
-def _buses(pairs: Sequence[str], machine: Any) -> dict[str, str]:
-    try:
-        return bus_names(pairs, machine[0] if machine else None)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
-
-
 def _show(answer: dict[str, Any]) -> None:
     console = Console()
     for run in answer["runs"]:
@@ -171,7 +159,3 @@ def _table(title: str, parameters: dict[str, Any]) -> RichTable:
         text = "-" if row["value"] is None else of_logarithm(row["value"], row["sd"], unit)
         table.add_row(name, text, row["status"], row["reason"])
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth fit: {text}", file=sys.stderr)

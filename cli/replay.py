@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
@@ -14,7 +13,7 @@ from rich.table import Table
 
 from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import SAYS
-from tilth.cli import WrongUse, add_bus_names, say_unusual
+from tilth.cli import WrongUse, add_bus_names, say_unusual, saying
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.cli.unread import who
@@ -38,6 +37,8 @@ from tilth.schemas.readable import readable
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences import event_sentence, rejection_sentence, sentence
 from tilth.schemas.spread import of_logarithm
+
+_say = saying("replay")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -79,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
         say_unusual("replay", machine)
         _say_other_files(args, machine)
-        buses = _buses(args, machine)
+        buses = bus_names(args.bus, machine)
         with ExitStack() as stack:
             outputs = _outputs(stack, args, machine, text, comparison)
             simulated = simulated_by(args.logs)
@@ -120,13 +121,6 @@ def _check_logs(args: argparse.Namespace) -> None:
             raise WrongUse(
                 f"{path}: --verify needs the results of a live run; only tilth's own logs hold them"
             )
-
-
-def _buses(args: argparse.Namespace, machine: Machine) -> dict[str, str]:
-    try:
-        return bus_names(args.bus, machine)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
 
 
 def _outputs(
@@ -271,7 +265,3 @@ def _table(title: str, estimate: Estimate) -> Table:
     for name, (value, sd) in estimate.nuisances.items():
         table.add_row(f"{WORDS[name].words} ({name})", nuisance_text(name, value, sd) + SAYS, "nuisance", "")
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth replay: {text}", file=sys.stderr)

@@ -1,7 +1,6 @@
 """`tilth report`: one HTML file of a drive, with its numbers beside it, for any computer and for paper."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,13 +8,15 @@ from typing import Any
 
 from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
 from tilth.analysis.runs.run import Run, open_runs
-from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder
+from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder, saying
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import Steps, bars
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.invocation import command, installing
 from tilth.schemas.machine import Machine
+
+_say = saying("report")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -131,12 +132,7 @@ def _holds_something(folder: Path) -> bool:
 
 
 def _buses(args: argparse.Namespace, machine: tuple[Machine, str] | None) -> dict[str, str]:
-    if not args.bus:
-        return {}
-    try:
-        return bus_names(args.bus, (machine or machine_in(args.logs))[0])
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
+    return bus_names(args.bus, (machine or machine_in(args.logs))[0]) if args.bus else {}
 
 
 def _no_poses(one: Run) -> str:
@@ -208,7 +204,3 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
     words += [word for name in args.mark for word in ("--mark", name)]
     return words + [word for name in args.bus for word in ("--bus", name)]
-
-
-def _say(text: str) -> None:
-    print(f"tilth report: {text}", file=sys.stderr)

@@ -20,7 +20,7 @@ from tilth.analysis.sensitivity.local_answer import (
 )
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
-from tilth.cli import WrongUse, say_unusual
+from tilth.cli import WrongUse, say_unusual, saying
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
@@ -37,6 +37,8 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
+
+_say = saying("sensitivity")
 
 STEPS = ("1%", "exact")
 ACROSS = 4  # columns of long names in a terminal
@@ -204,7 +206,3 @@ def _table(title: str, local: Mapping[str, Any], outputs: list[str]) -> RichTabl
         if any(row[output] for output in outputs):
             table.add_row(name, *("–" if row[one] is None else f"{row[one]:.3f}" for one in outputs))
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth sensitivity: {text}", file=sys.stderr)

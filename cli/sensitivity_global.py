@@ -3,32 +3,42 @@
 import argparse
 import math
 import os
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 
 from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.sensitivity.dask_batches import Certificates, DaskProblem, caution, on_dask
-from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
+from tilth.analysis.sensitivity.designs import (
+    DISSERTATION,
+    Design,
+    Grid,
+    LogNormal,
+    ParameterBox,
+    Uniform,
+    described,
+)
 from tilth.analysis.sensitivity.global_answer import global_answer, with_indices
 from tilth.analysis.sensitivity.global_page import outputs_with_indices, with_interval
 from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.outputs import SIX
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, run
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, saying, whole
 from tilth.cli.desk_options import check_name
+from tilth.cli.progress_bar import bars
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
 from tilth.schemas.machine import Log
+
+_say = saying("sensitivity")
 
 FEWEST: Final = 100  # points
 
@@ -44,7 +54,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--points",
-        type=_points,
+        type=whole(FEWEST),
         metavar="N",
         help="with --global: so many random rigs of the box instead of the grid",
     )
@@ -81,20 +91,8 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         help="with --dask tls://host:8786: certificates, PEM files of the authority and of this end",
     )
     parser.add_argument(
-        "--workers", type=_workers, metavar="N", help="processes (as many as there are cores)"
+        "--workers", type=whole(1), metavar="N", help="processes (as many as there are cores)"
     )
-
-
-def _points(text: str) -> int:
-    if not text.isdecimal() or int(text) < FEWEST:
-        raise argparse.ArgumentTypeError(f"{text}: give a whole number from {FEWEST} up")
-    return int(text)
-
-
-def _workers(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text}: give a number of processes, from 1 up")
-    return int(text)
 
 
 def design_of(args: argparse.Namespace) -> Design | None:
@@ -169,13 +167,13 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
     parts = _parts(args)
     answer["design"] = described(design)
     with ExitStack() as stack:
-        bar = _bar(stack)
+        bar = bars(stack)
         for entry in answer["speeds"]:
             asked = tuple(entry["outputs"]) if args.outputs else SIX
             plan = GlobalPlan(
                 entry["model"], rig, entry["speed"], entry["seconds"], design, asked, args.input
             )
-            shown = bar(f"{entry['speed']:g} m/s")
+            shown = partial(bar, f"{entry['speed']:g} m/s")
             try:
                 _check_room()
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
@@ -184,40 +182,6 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
                     with_indices(entry, indices_answer(plan, entry["outputs"], args.workers))
             except (ValueError, DaskProblem) as error:
                 raise WrongUse(str(error)) from None
-
-
-def described(design: Design) -> dict[str, Any]:
-    """For JSON and people: what rigs these are."""
-    if isinstance(design, LogNormal):
-        what = f"{design.size} random rigs, by the covariance of a log's estimates"
-        return {"what": what, "names": list(design.names), "points": design.size}
-    what = (
-        f"a grid of {design.levels} values of each of {len(design.names)} parameters"
-        if isinstance(design, Grid)
-        else f"{design.size} random rigs of the box"
-    )
-    return {
-        "what": what,
-        "names": list(design.names),
-        "points": design.size,
-        "low": list(design.box.low),
-        "high": list(design.box.high),
-    }
-
-
-def _bar(stack: ExitStack) -> Callable[[str], Callable[[int, int], None]]:
-    if not sys.stderr.isatty():
-        return lambda what: lambda done, of: None
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %"))
-    bar = stack.enter_context(
-        Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
-    )
-
-    def of(what: str) -> Callable[[int, int], None]:
-        task = bar.add_task(what, total=None)
-        return lambda done, of: bar.update(task, completed=done, total=of)
-
-    return of
 
 
 def show_global(console: Console, entry: Mapping[str, Any]) -> None:
@@ -254,7 +218,3 @@ def _indices_table(output: str, rows: Mapping[str, Any]) -> RichTable:
             "–" if row["dgsm_bound"] is None else f"{row['dgsm_bound']:.3g}",
         )
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth sensitivity: {text}", file=sys.stderr)

@@ -4,7 +4,6 @@ real time on a bus."""
 import argparse
 import json
 import math
-import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib import resources
@@ -12,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, say_unusual
+from tilth.cli import WrongUse, say_unusual, saying
 from tilth.cli.progress_bar import bars
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
@@ -23,6 +22,8 @@ from tilth.simulator.drive import drive
 from tilth.simulator.scenario import CannotBeDriven, Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
+_say = saying("simulate")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             raise _not_driven(args.scenario, error) from None
         except OSError as error:
             reason = (error.strerror or str(error)).lower()
-            print(f"tilth simulate: {error.filename or args.out}: {reason}", file=sys.stderr)
+            _say(f"{error.filename or args.out}: {reason}")
             return 1
     _tell(source, simulated, args.json)
     return 0
@@ -117,10 +118,6 @@ def _not_driven(scenario: Path, error: ValueError) -> WrongUse:
     if isinstance(error, CannotBeDriven):
         return WrongUse(f"{scenario}: {error}")
     return WrongUse(f"this machine cannot be driven: {error}")
-
-
-def _say(text: str) -> None:
-    print(f"tilth simulate: {text}", file=sys.stderr)
 
 
 def _source(args: argparse.Namespace) -> SimulationInput:

@@ -29,6 +29,7 @@ from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
+from tilth.estimator.state_json import NOT_STORED
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch, wheel_speed
 from tilth.estimator.watch.accepted import acceptance, corrected
@@ -62,8 +63,8 @@ POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or conne
 class State:
     """The whole state of the fold. `step` changes it in place; nothing else does."""
 
-    machine: Machine
-    decoder: Decoder
+    machine: Machine = field(metadata=NOT_STORED)
+    decoder: Decoder = field(metadata=NOT_STORED)  # but in a form of its own
     aligner: Aligner
     record: RecordState
     consistency: Consistency  # of the data with the machine file
@@ -88,9 +89,10 @@ class State:
     place: tuple[float, float, float, float] | None = None
     """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
     disagree: bool = False  # whether the methods disagree
-    segments: list[Segment | None] = field(default_factory=list)
+    segments: list[Segment | None] = field(default_factory=list, metadata=NOT_STORED)
     """What each pose of the last frame completed; for who analyses a drive afterwards."""
-    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> latest estimate, as published
+    estimates: dict[str, Estimate] = field(default_factory=dict, metadata=NOT_STORED)
+    """Method -> latest estimate, as published."""
 
     @property
     def latest_ns(self) -> int:

@@ -8,20 +8,11 @@ import json
 from typing import Any, Final
 
 from tilth.estimator.fold import State, estimates_now
-from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import rows_for
-from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.log_time import LogTime
-from tilth.estimator.pose.receiver_checks import ReceiverChecks
-from tilth.estimator.pose.recognition import Recognition
-from tilth.estimator.pose.standing import StandingCheck
-from tilth.estimator.record.record_builder import RecordState
-from tilth.estimator.state_json import Stored, to_json_data
-from tilth.estimator.warm_start import SavedPosterior
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.watch.accepted import corrected
-from tilth.estimator.watch.watch import WatchState
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Accepted, Flag
+from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
 VERSION: Final = 23
@@ -34,43 +25,27 @@ class NotRestorable(ValueError):
 
 def snapshot(state: State) -> str:
     """The state as JSON text: `restore(machine, snapshot(s))` continues exactly as `s` would."""
-    rows = rows_for(state.machine)
-    raw = {
-        "version": VERSION,
-        "decoder": state.decoder.dump(),
-        "aligner": to_json_data(state.aligner, skip=frozenset({"machine"})),
-        "record": to_json_data(state.record),
-        "consistency": to_json_data(state.consistency),
-        "estimators": {row.method: to_json_data(state.estimators[row.method]) for row in rows},
-        "checks": to_json_data(state.checks),
-        "standing": to_json_data(state.standing),
-        "watch": to_json_data(state.watch),
-        "accepted": to_json_data(state.accepted),
-        "previous_run": to_json_data(state.previous_run),
-        "previous_run_ns": state.previous_run_ns,
-        "frames": state.frames,
-        "measurements": state.measurements,
-        "poses": state.poses,
-        "ready": state.ready,
-        "clock_steps": state.clock_steps,
-        "not_numbers": state.not_numbers,
-        "recognition": to_json_data(state.recognition),
-        "time": to_json_data(state.time),
-        "flags": to_json_data(state.flags),
-        "flag_times": to_json_data(state.flag_times),
-        "place": to_json_data(state.place),
-        "disagree": to_json_data(state.disagree),
-    }
+    raw = {"version": VERSION, "decoder": state.decoder.dump(), **to_json_data(state)}
     return json.dumps(raw, separators=(",", ":"))
 
 
 def restore(machine: Machine, text: str) -> State:
     """The state that `snapshot` wrote. Raises NotRestorable."""
-    stored = _parse_current(text)
+    raw = _parse(text)
+    if other := _other_version(raw):
+        raise NotRestorable(other)
+    del raw["version"]
     try:
-        accepted = stored.value(list[Accepted], "accepted")
-        state = _state_of(corrected(machine, accepted), stored)
-        state.accepted = accepted
+        machine = corrected(machine, from_json_data(list[Accepted], raw["accepted"]))
+        given = {"machine": machine, "decoder": _decoder_of(machine, raw.pop("decoder"))}
+        state: State = from_json_data(State, raw, given)
+        stored = state.estimators  # a method that was not enabled then starts new
+        state.estimators = {
+            row.method: from_json_data(row.state, stored[row.method])
+            if row.method in stored
+            else row.initial(machine)
+            for row in rows_for(machine)
+        }
         if set(state.aligner.tracks) != {receiver.mount.value for receiver in machine.receiver}:
             raise NotRestorable("it is of a machine with other receivers")
         state.estimates = estimates_now(state)
@@ -94,15 +69,6 @@ def restore_decoder(machine: Machine | None, text: str) -> Decoder:
         raise NotRestorable(_other_version(raw) or f"it is damaged: {error}") from None
 
 
-def _parse_current(text: str) -> Stored:
-    """The parts of a text of the current version."""
-    raw = _parse(text)
-    if other := _other_version(raw):
-        raise NotRestorable(other)
-    del raw["version"]
-    return Stored(raw, "the stored state")
-
-
 def _parse(text: str) -> dict[str, Any]:
     try:
         raw = json.loads(text)
@@ -119,45 +85,6 @@ def _other_version(raw: dict[str, Any]) -> str:
     if version == VERSION:
         return ""
     return f"it is of another version: {version!s:.20}, where this program knows {VERSION}"
-
-
-def _state_of(machine: Machine, stored: Stored) -> State:
-    state = State(
-        machine=machine,
-        decoder=_decoder_of(machine, stored.raw("decoder")),
-        aligner=stored.value(Aligner, "aligner", {"machine": machine}),
-        record=stored.value(RecordState, "record"),
-        consistency=stored.value(Consistency, "consistency"),
-        estimators=_estimators_of(machine, stored.raw("estimators")),
-        checks=stored.value(ReceiverChecks, "checks"),
-        standing=stored.value(StandingCheck, "standing"),
-        watch=stored.value(WatchState, "watch"),
-        previous_run=stored.value(dict[str, SavedPosterior], "previous_run"),
-        previous_run_ns=stored.value(int, "previous_run_ns"),
-        frames=stored.value(int, "frames"),
-        measurements=stored.value(int, "measurements"),
-        poses=stored.value(int, "poses"),
-        ready=stored.value(bool, "ready"),
-        clock_steps=stored.value(int, "clock_steps"),
-        not_numbers=stored.value(int, "not_numbers"),
-        recognition=stored.value(Recognition, "recognition"),
-        time=stored.value(LogTime, "time"),
-        flags=tuple(stored.value(list[Flag], "flags")),
-        flag_times=stored.value(dict[str, int], "flag_times"),
-        place=stored.optional(tuple[float, float, float, float], "place"),
-        disagree=stored.value(bool, "disagree"),
-    )
-    stored.end()
-    return state
-
-
-def _estimators_of(machine: Machine, raw: Any) -> dict[str, Any]:
-    """Method -> its state; a method that was not enabled when the state was stored starts new."""
-    stored = Stored(raw, "estimators")
-    return {
-        row.method: stored.value(row.state, row.method) if row.method in raw else row.initial(machine)
-        for row in rows_for(machine)
-    }
 
 
 def _decoder_of(machine: Machine | None, raw: Any) -> Decoder:

@@ -16,15 +16,14 @@ from typing import Final
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.clock import Clock, boot_id
 from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.log import whole_file
 from tilth.logger.log.run_log import Recording
-from tilth.logger.warm_start_file import write
 from tilth.schemas.flow import EventKind
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
 
 FORMAT: Final = 1
-LARGEST_BYTES: Final = 1_000_000  # of the file: more is none of ours
 EVERY_NS: Final = 30_000_000_000  # or more often, where ignition off is shorter
 SHARE: Final = 8  # of the time after which ignition is off
 
@@ -71,7 +70,7 @@ class AddressMemory:
             return
         self._next_ns, self._written = t_ns + self._every_ns, plain
         text = text_of(known, self._sha256, self._clock)
-        recording.on_disk_thread(lambda: write(self._path, text))
+        recording.on_disk_thread(lambda: whole_file.write(self._path, text.encode()))
 
 
 def text_of(known: Sequence[KnownAddress], sha256: str, clock: Clock) -> str:
@@ -92,13 +91,10 @@ def text_of(known: Sequence[KnownAddress], sha256: str, clock: Clock) -> str:
 def read(path: Path, sha256: str, clock: Clock) -> list[KnownAddress]:
     """What was kept, its times on this clock; [] where nothing was. With another machine file only the NAMEs
     count. Raises OSError, or for another text what its parts raise."""
-    if not path.is_file():
+    try:
+        plain = json.loads(whole_file.read(path))
+    except FileNotFoundError:
         return []
-    with path.open("rb") as stream:
-        data = stream.read(LARGEST_BYTES + 1)
-    if len(data) > LARGEST_BYTES:
-        raise ValueError("it is too large")
-    plain = json.loads(data)
     if plain["format"] != FORMAT:
         raise ValueError("it is of another version of tilth")
     same_file, same_start = plain["machine_sha256"] == sha256, plain["boot_id"] == boot_id() != ""

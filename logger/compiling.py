@@ -1,13 +1,12 @@
 """Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
 
 `python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With
-"-" it is the recorder's own process (logger/preparing.py): the machine comes as a pickle, what goes out are
+"-" it is the recorder's own process (logger/preparing.py): the machine comes in a line, what goes out are
 lines with the share of the work that is done.
 """
 
 import contextlib
 import os
-import pickle
 import stat
 import sys
 import time
@@ -18,6 +17,7 @@ from typing import Any, Final
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.methods.estimators import rows_for
+from tilth.logger.child import unpacked
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 
@@ -187,7 +187,7 @@ def keeping_in(folder: str) -> Iterator[None]:
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
     if words == ["-"]:
-        prepare(pickle.load(sys.stdin.buffer), lambda share: _print(f"{share:.3f}"))
+        prepare(unpacked(sys.stdin.buffer.readline()), lambda share: _print(f"{share:.3f}"))
         return 0
     try:
         if len(words) != 1:

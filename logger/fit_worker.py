@@ -1,12 +1,10 @@
-"""The process that makes fits: `python -P -m tilth.logger.fit_worker`, started by logger/fitting.py.
+"""The process that makes fits, started by logger/fitting.py.
 
-Reads pickles from its parent, the machine first and then jobs, and answers each job with one. It ends when
-its parent does.
+Its parent tells it the machine and then jobs, each in a line; it answers each job with one.
 """
 
 import contextlib
 import os
-import pickle
 import sys
 import threading
 import time
@@ -15,6 +13,7 @@ from typing import Any, Final
 from threadpoolctl import threadpool_limits
 
 from tilth.estimator.methods.estimators import ROW, rows_for
+from tilth.logger.child import packed, unpacked
 from tilth.schemas.machine import Machine
 
 _ONE_FIT: Final = threading.Lock()  # how many threads linear algebra has is one setting of a process
@@ -49,19 +48,16 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
     requests = sys.stdin.buffer
-    try:
-        machine = pickle.load(requests)
-        with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
-            rehearse(machine)
-        while True:
-            ticket, method, job = pickle.load(requests)
-            started = time.perf_counter()
-            made, error = make(machine, method, job)
-            answer: Answer = (ticket, made, error, time.perf_counter() - started)
-            pickle.dump(answer, answers, pickle.HIGHEST_PROTOCOL)
-            answers.flush()
-    except (EOFError, BrokenPipeError, pickle.UnpicklingError):  # nobody asks any more
-        return
+    machine = unpacked(requests.readline())
+    with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
+        rehearse(machine)
+    for request in requests:
+        ticket, method, job = unpacked(request)
+        started = time.perf_counter()
+        made, error = make(machine, method, job)
+        answer: Answer = (ticket, made, error, time.perf_counter() - started)
+        answers.write(packed(answer) + b"\n")
+        answers.flush()
 
 
 if __name__ == "__main__":

@@ -6,26 +6,25 @@ so that a replay does alike.
 """
 
 import contextlib
-import os
-import pickle
-import signal
-import subprocess
-import sys
 import threading
+from collections.abc import Mapping
 from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Final, Protocol
 
+from tilth.logger.child import packed, unpacked, words_of
 from tilth.logger.fit_worker import Answer, make
-from tilth.logger.priority import FITS, stand_behind
+from tilth.logger.job import STOPPED, Job, JobEnded
+from tilth.logger.priority import FITS
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
 
 UNDECIDED: Final = object()
 LATE: Final = object()
+GIVEN_UP: Final = "it was given up when the next was asked for"
 LEAVE_S: Final = 2.0  # how long the end of a run waits for the worker
-ONE_THREAD: Final = dict.fromkeys(
+ONE_THREAD: Final[Mapping[str, str]] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )  # a sum split among threads is rounded otherwise, and the other core belongs to the loop
 
@@ -87,9 +86,8 @@ class Worker:
         self._changed = threading.Condition()  # guards all that both threads touch
         self._asks: SimpleQueue[tuple[int, str, Any] | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._job: Job | None = None
         self._busy = 0  # ticket of what the process is at
-        self._given_up = False
         self._closing = False
         self._said_priority = False
 
@@ -105,9 +103,8 @@ class Worker:
             if before is not None and before[0] == job.asked_ns:
                 return
             if before is not None:
-                if self._busy == before[1] and self._process is not None:
-                    self._given_up = True  # what is asked for instead must not wait for it
-                    self._process.kill()
+                if self._busy == before[1] and self._job is not None:
+                    self._job.kill(GIVEN_UP)  # what is asked for instead must not wait for it
                 self._results.pop(before[1], None)
             self._count += 1
             self._tickets[method] = (job.asked_ns, self._count)
@@ -128,7 +125,8 @@ class Worker:
     def use(self, machine: Machine) -> None:
         with self._changed:
             self._machine = machine
-            self._given_up = self._process is not None
+            if self._job is not None:
+                self._job.kill()  # its successor is told of this machine
             self._tickets.clear()
             self._results.clear()
 
@@ -138,8 +136,8 @@ class Worker:
             return
         with self._changed:
             self._closing = True
-            if self._process is not None:
-                self._process.kill()
+            if self._job is not None:
+                self._job.kill()
         self._asks.put(None)
         self._thread.join(LEAVE_S)
         self._thread = None
@@ -156,10 +154,8 @@ class Worker:
     # What follows runs in the thread.
 
     def _work(self) -> None:
-        # The process inherits this: Ctrl-C is for the daemon, which ends it.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            with contextlib.suppress(OSError):  # told at the first job
+            with contextlib.suppress(JobEnded):  # told at the first fit
                 self._running()
             while (request := self._asks.get()) is not None:
                 self._answer(*request)
@@ -173,12 +169,12 @@ class Worker:
             self._busy = ticket
         try:
             process = self._running()
-            _send(process, (ticket, method, job))
-            assert process.stdout is not None
-            answer: Answer = pickle.load(process.stdout)
+            process.send(packed((ticket, method, job)))
+            answer: Answer = unpacked(process.next() or b"")
             _, made, error, self.seconds = answer
-        except (OSError, EOFError, pickle.UnpicklingError) as lost:
-            made, error = None, self._lost(lost)
+        except (JobEnded, ValueError) as lost:
+            made, error = None, f"{lost}; its process is started again for the next"
+            self._end()
         if error and not self._closing:
             _report_failure(self._report, method, error)
         with self._changed:
@@ -187,58 +183,27 @@ class Worker:
                 self._results[ticket] = made
             self._changed.notify_all()
 
-    def _running(self) -> subprocess.Popen[bytes]:
-        """The process, started where it does not run."""
-        if self._given_up:
-            self._end()
-        if self._process is not None:
-            return self._process
+    def _running(self) -> Job:
+        """The process, started where it does not run. Raises JobEnded."""
+        if self._job is not None and not self._job.stopped:
+            return self._job
+        self._end()
         with self._changed:
             if self._closing:
-                raise EOFError
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "tilth.logger.fit_worker"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env={**os.environ, **ONE_THREAD},
-            )
-            why_not = stand_behind(FITS, self._process.pid)
-        if why_not and not self._said_priority:
+                raise JobEnded(STOPPED)
+            words, machine = words_of("tilth.logger.fit_worker"), packed(self._machine)
+            self._job = Job(words, [machine], niceness=FITS, environment=ONE_THREAD)
+        if self._job.not_behind and not self._said_priority:
             self._said_priority = True
+            why_not = self._job.not_behind
             self._report(EventKind.FIT, notice(NoticeCode.FITS_AT_OWN_PRIORITY, why=why_not))
-        _send(self._process, self._machine)
-        return self._process
+        return self._job
 
-    def _lost(self, error: Exception) -> str:
-        """Clear away a process that has gone; why, in words."""
-        status = self._end()
-        if status is None:
-            return f"its process cannot be started ({error})"
-        how = f"signal {-status}" if status < 0 else f"status {status}"
-        return f"its process ended ({how}) and is started again for the next"
-
-    def _end(self) -> int | None:
+    def _end(self) -> None:
         with self._changed:
-            process, self._process = self._process, None
-            self._given_up = False
-        if process is None:
-            return None
-        with contextlib.suppress(OSError):  # what could not be sent
-            assert process.stdin is not None
-            process.stdin.close()
-        assert process.stdout is not None
-        process.stdout.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return process.wait(LEAVE_S)
-        process.kill()
-        return process.wait()
-
-
-def _send(process: subprocess.Popen[bytes], value: Any) -> None:
-    assert process.stdin is not None
-    pickle.dump(value, process.stdin, pickle.HIGHEST_PROTOCOL)
-    process.stdin.flush()
+            job, self._job = self._job, None
+        if job is not None:
+            job.close()
 
 
 def _report_failure(report: Report, method: str, error: str) -> None:

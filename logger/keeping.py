@@ -5,6 +5,7 @@ from pathlib import Path
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.log import whole_file
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Report
@@ -45,7 +46,7 @@ class Keeping:
         self._written = standing
         if learned or standing != before or (moved and self._fold.contradicted):
             text = warm_start_file.text_of(self._machine, learned, t_ns, accepted, moved)
-            recording.on_disk_thread(lambda: warm_start_file.write(self._path, text))
+            recording.on_disk_thread(lambda: whole_file.write(self._path, text.encode()))
 
     def _standing(self) -> tuple[int, tuple[str, ...], bool]:
         """What the next run has to know at once: values accepted, what has been moved, a contradiction."""

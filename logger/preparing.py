@@ -7,16 +7,15 @@ folder is lent for this run; where there is not even that, or the process fails,
 
 import contextlib
 import os
-import pickle
-import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
 from typing import Final
 
-from tilth.logger import compiling, priority
+from tilth.logger import compiling
+from tilth.logger.child import packed, words_of
+from tilth.logger.job import Job, JobEnded
+from tilth.logger.priority import COMPILING as BEHIND
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
@@ -41,7 +40,7 @@ class Preparing:
         self._report = report
         self._done = 0.0  # share of the compiling
         self._began_s: float | None = None  # monotonic
-        self._process: subprocess.Popen[bytes] | None = None
+        self._job: Job | None = None
         self._closing = False
         self._lock = threading.Lock()  # of the two before
         self._lent = contextlib.ExitStack()
@@ -59,8 +58,8 @@ class Preparing:
     def close(self) -> None:
         with self._lock:
             self._closing = True
-            if self._process is not None:
-                self._process.kill()
+            if self._job is not None:
+                self._job.kill()
         if self._thread.ident is not None:
             self._thread.join(LEAVE_S)
         self._lent.close()
@@ -68,8 +67,6 @@ class Preparing:
     # What follows runs in the thread.
 
     def _work(self) -> None:
-        # The process inherits this: Ctrl-C is for the daemon, which ends it.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             untrusted = compiling.untrusted()
             if untrusted:  # before anything in it is looked at
@@ -110,35 +107,19 @@ class Preparing:
     def _compile_in_process(self) -> None:
         """Compile in a process of its own."""
         try:
-            status = self._process_ends()
-            why_not = f"it ended with status {status}" if status else ""
-        except OSError as error:
-            why_not = str(error)
-        if why_not and not self._closing:
-            self._report(EventKind.COMPILED, notice(NoticeCode.COMPILER_FAILED, why=why_not))
-
-    def _process_ends(self) -> int:
-        """Its exit status. Raises OSError where it cannot be started."""
-        with self._lock:
-            if self._closing:
-                return 0
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "tilth.logger.compiling", "-"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-            )
-            why_not = priority.stand_behind(priority.COMPILING, self._process.pid)
-        if why_not:
-            self._report(EventKind.COMPILED, notice(NoticeCode.COMPILES_AT_OWN_PRIORITY, why=why_not))
-        assert self._process.stdin is not None and self._process.stdout is not None
-        with self._process:
-            with contextlib.suppress(BrokenPipeError):  # its status tells
-                pickle.dump(self._machine, self._process.stdin, pickle.HIGHEST_PROTOCOL)
-                self._process.stdin.flush()
-            for line in self._process.stdout:
-                self._progress(float(line))
-        return self._process.returncode
+            with self._lock:
+                if self._closing:
+                    return
+                words = words_of("tilth.logger.compiling", "-")
+                self._job = Job(words, [packed(self._machine)], niceness=BEHIND)
+            with contextlib.closing(self._job):
+                if why_not := self._job.not_behind:
+                    self._report(EventKind.COMPILED, notice(NoticeCode.COMPILES_AT_OWN_PRIORITY, why=why_not))
+                for line in self._job.lines():
+                    self._progress(float(line))
+        except (JobEnded, ValueError) as why:
+            if not self._closing:
+                self._report(EventKind.COMPILED, notice(NoticeCode.COMPILER_FAILED, why=str(why)))
 
     def _progress(self, share: float) -> None:
         if self._closing:

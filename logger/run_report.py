@@ -5,22 +5,20 @@ begun, `report/file` with the HTML of the last one. How it goes is published on 
 only hands over: what may wait for a disk is done in a thread of its own.
 """
 
-import signal
-import subprocess
-import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 import zenoh
 
 from tilth.logger.clock import Clock
+from tilth.logger.job import NO_ANSWER, OUT_OF_MEMORY, Job, JobEnded
 from tilth.logger.log.derived import reports_in
 from tilth.logger.outlets import Outlets
-from tilth.logger.priority import REPORTS, stand_behind
+from tilth.logger.priority import REPORTS
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import EventKind
 from tilth.schemas.invocation import command, in_background
@@ -48,7 +46,7 @@ class RunReport:
         self._asked: deque[tuple[zenoh.Query, str]] = deque()
         self._limiter = Limiter(MOST_WAITING, EACH, "requests for a report", threading.Lock())
         self._states = deque([pb.ReportState()])  # to be published; first that there is none
-        self._process: subprocess.Popen[bytes] | None = None
+        self._job: Job | None = None
         self._thread: threading.Thread | None = None
         self._last: Path | None = None  # the report that is ready
         self._ends = False
@@ -99,8 +97,8 @@ class RunReport:
     def close(self) -> None:
         """A report that is not ready by now is not made: `tilth report` makes it of the whole run."""
         self._ends = True
-        if self._process is not None:
-            self._process.terminate()
+        if self._job is not None:
+            self._job.kill()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
 
@@ -144,25 +142,25 @@ class RunReport:
             if not reports.make_room(WANTED_BYTES):
                 return out, f"{reports.no_room()}; make room"
             out = _unused(folder, logs[0].stem.rpartition("_")[0])
-            with tempfile.TemporaryFile() as said:
-                words = in_background("report", *map(str, logs), "--out", str(out))
-                self._process = subprocess.Popen(
-                    words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
-                )
-                if why_not := stand_behind(REPORTS, self._process.pid):
+            words = in_background("report", *map(str, logs), "--out", str(out))
+            self._job = Job(words, niceness=REPORTS, longest_s=LONGEST_S)
+            with closing(self._job):
+                if self._ends:  # meanwhile
+                    self._job.kill()
+                if why_not := self._job.not_behind:
                     self._report(EventKind.REPORT, notice(NoticeCode.REPORT_AT_OWN_PRIORITY, why=why_not))
-                try:
-                    status = self._process.wait(LONGEST_S)
-                except subprocess.TimeoutExpired:
-                    self._process.kill()
-                    self._process.wait()
-                    return out, f"it was not ready within {LONGEST_S / 60.0:.0f} minutes"
-                # An open log is cut off for who reads it: that is told in the report, and is no failure.
-                return out, "" if out.exists() else _why(_read(said), status, logs)
+                why = self._job.end() or NO_ANSWER
+        except JobEnded as lost:
+            return out, str(lost)
         except OSError as error:
             return out, f"{error.filename or folder}: {(error.strerror or str(error)).lower()}"
         finally:
-            self._process = None
+            self._job = None
+        if why == OUT_OF_MEMORY:
+            elsewhere = command("report", *map(str, logs), "--out", "REPORT.html")
+            why = f"{why}: make it on another one from the logs, with `{elsewhere}`"
+        # An open log is cut off for who reads it: that is told in the report, and is no failure.
+        return out, "" if out.exists() else why
 
 
 def _answer(query: zenoh.Query, begun: pb.ReportState | str) -> None:
@@ -179,23 +177,3 @@ def _unused(folder: Path, run: str) -> Path:
     while (path := folder / f"{run}_report_{number}.html").exists():
         number += 1
     return path
-
-
-def _read(said: IO[bytes]) -> str:
-    said.seek(0)
-    return said.read(65536).decode(errors="replace")
-
-
-def _why(said: str, status: int, logs: Sequence[Path]) -> str:
-    """What ended it, else the last line of what the command said."""
-    by = status - 128 if status > 128 else -status  # of who was started by a shell, or by itself
-    if by == signal.SIGKILL:
-        words = command("report", *map(str, logs), "--out", "REPORT.html")
-        return (
-            "it was killed, most likely since this computer has too little memory for it: make it on another "
-            f"one from the logs, with `{words}`"
-        )
-    if by > 0 and by in set(signal.Signals):
-        return f"it was ended by {signal.Signals(by).name}; try again"
-    lines = [line for line in said.splitlines() if line.strip()]
-    return lines[-1].removeprefix("tilth report: ")[:500] if lines else f"it ended with status {status}"

@@ -67,11 +67,6 @@ def text_of(
     return json.dumps(plain, indent=1)
 
 
-def write(path: Path, text: str) -> None:
-    """All or nothing, whatever happens to the power. Raises OSError."""
-    whole_file.write(path, text.encode())
-
-
 def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
     """What was kept; None where nothing was. Raises NotUsable."""
     try:

@@ -23,7 +23,7 @@ from tilth.replay.readers.rig import Say, bus_names, machine_in
 from tilth.replay.recorded import Progress, RecordedRun
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, Zenoh
+from tilth.schemas.machine import Machine, MachineError, Zenoh
 from tilth.schemas.readable import readable
 
 MOST_BYTES: Final = 10e9  # of all that is kept
@@ -86,7 +86,7 @@ class Opening:
         machine, text = self.given or machine_in(run.paths)
         try:
             buses = bus_names(self.buses, machine)
-        except ValueError as error:
+        except MachineError as error:
             raise ForeignLog(str(error)) from None
         prepare(run.paths, machine, text, target, progress, buses=buses, say=self.say)
 

@@ -8,22 +8,21 @@ import json
 import logging
 import math
 import re
-import select
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal
 
 from rich.table import Table
 
 from tilth.logger import compiling
+from tilth.logger.child import words_of
 from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display, NoDisplay
+from tilth.logger.job import Job, JobEnded
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.replay.estimates_json import estimates_and_nuisances
@@ -43,9 +42,9 @@ SPATIAL: Final = Scenario(
 COMPILING_S: Final = 900.0  # longest drive while the daemon compiles; longer than that it ends with it
 STARTING_S: Final = 180.0  # longest wait for the second process, which may have to compile its model
 SOON_S: Final = 4.0  # of that without a word
-ENDING_S: Final = 30.0  # longest wait for it to end
 IN_FLIGHT_S: Final = 5.0  # longest wait for what it sent last
 TICK_S: Final = 0.1
+STOP: Final = b'{"stop": true}'
 
 
 class DemoError(Exception):
@@ -104,7 +103,8 @@ def run_demo(
         say("kernels are compiled, once per machine; the tractor drives on until estimates had their time")
     scenario = scenario or Scenario()
     lasting = seconds if kept else seconds + COMPILING_S
-    with Player(packaged, seed, lasting, stop, say, scenario) as player:
+    order = {"machine_text": packaged, "seed": seed, "seconds": lasting, "scenario": as_json(scenario)}
+    with closing(Player(order, stop, say)) as player:
         text = on_loopback(packaged, player.port)
         endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
@@ -162,92 +162,59 @@ options = {{ host = "127.0.0.1", port = {port} }}
 class Player:
     """The second process: see socketcand_server.main."""
 
-    def __init__(
-        self,
-        machine_text: str,
-        seed: int,
-        seconds: float,
-        stop: Callable[[], bool],
-        say: Callable[[str], None],
-        scenario: Scenario,
-    ) -> None:
+    def __init__(self, order: dict[str, Any], stop: Callable[[], bool], say: Callable[[str], None]) -> None:
         """Returns once it has driven and is ready to play. Raises DemoError where it does not start."""
         self.sent: int | None = None  # frames, as soon as it says so
         self._ended_s: float | None = None
         self._told_to_stop = False
-        # A session of its own: Ctrl-C in the terminal is for the daemon, which then ends the player.
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tilth.simulator.socketcand_server"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            start_new_session=True,
-        )
-        order = {"machine_text": machine_text, "seed": seed, "seconds": seconds}
-        self._order({**order, "scenario": as_json(scenario)})
-        try:
-            self.port = self._ready(stop, say)
-        except DemoError:
-            self._process.terminate()
-            self.close()
-            raise
-
-    def _ready(self, stop: Callable[[], bool], say: Callable[[str], None]) -> int:
-        """Its port."""
-        for tick in range(round(STARTING_S / TICK_S)):
-            answer = self._answer(TICK_S)
-            if answer is not None:
-                return answer["port"]
-            if stop():
-                raise DemoError("stopped before it began")
-            if self._process.poll() is not None:
-                break
-            if tick == round(SOON_S / TICK_S):
-                say("preparing the tractor's model for this computer, which is done only once")
-        raise DemoError(
-            "the simulator did not start; run `python -m tilth.simulator.socketcand_server` to see why"
-        )
+        with demo_errors("the simulator"):
+            self._job = Job(words_of("tilth.simulator.socketcand_server"), [json.dumps(order).encode()])
+            try:
+                self.port = int(first_fact(self._job, stop, say)["port"])
+            except BaseException:
+                self.close()
+                raise
 
     def finished(self, early: bool, taken: int) -> bool:
         """True when all is played and so many frames have been taken; early: play no further."""
         if early and not self._told_to_stop:
             self._told_to_stop = True
-            self._order({"stop": True})
+            self._job.send(STOP)
         if self._ended_s is None:
-            answer = self._answer(0.0)
-            if answer is not None or self._process.poll() is not None:
-                self._ended_s = time.monotonic()
-            self.sent = answer["sent"] if answer is not None else None
+            try:
+                line = self._job.next(0.0)
+                self.sent = None if line is None else json.loads(line)["sent"]
+                over = line is not None
+            except JobEnded:
+                over = True
+            self._ended_s = time.monotonic() if over else None
             return False
         # What was sent last may still be on its way, on a busy computer for a second or two.
         return taken >= (self.sent or 0) or time.monotonic() > self._ended_s + IN_FLIGHT_S
 
     def close(self) -> None:
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        self._process.wait(ENDING_S)
-        if self._process.stdout is not None:  # not before it has said its last word
-            self._process.stdout.close()
+        self._job.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+@contextmanager
+def demo_errors(name: str) -> Iterator[None]:
+    """DemoError where a process of that name does not start."""
+    try:
+        yield
+    except JobEnded as why:
+        raise DemoError(f"{name} did not start: {why}") from None
 
-    def _order(self, order: dict[str, Any]) -> None:
-        if self._process.stdin is not None:
-            self._process.stdin.write(json.dumps(order).encode() + b"\n")
 
-    def _answer(self, timeout_s: float) -> dict[str, int] | None:
-        """The next line that it says; None where there is none in time, or where it has died."""
-        stdout = self._process.stdout
-        if stdout is None or not select.select([stdout], [], [], timeout_s)[0]:
-            return None
-        line = stdout.readline()
-        return json.loads(line) if line else None
+def first_fact(job: Job, stop: Callable[[], bool], say: Callable[[str], None] = lambda text: None) -> Any:
+    """What a process says first, as JSON. Raises DemoError, JobEnded."""
+    for tick in range(round(STARTING_S / TICK_S)):
+        if (line := job.next(TICK_S)) is not None:
+            return json.loads(line)
+        if stop():
+            raise DemoError("stopped before it began")
+        if tick == round(SOON_S / TICK_S):
+            say("preparing the tractor's model for this computer, which is done only once")
+    raise JobEnded(f"it said nothing for {STARTING_S:.0f} s")
 
 
 def compare(truth: Mapping[str, float], estimate: Estimate | None) -> list[TruthAndEstimate]:

@@ -5,12 +5,10 @@ fitted again, nor are the same segments joined again: an interrupted fit goes on
 """
 
 import math
-import multiprocessing
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import ExitStack
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import pairwise
@@ -21,7 +19,7 @@ import numpy as np
 from tilth.analysis.fit.agreement import groups
 from tilth.analysis.fit.joint import Joint, Linearised, join, linearise
 from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_segment
-from tilth.analysis.fit.side_by_side import side_by_side
+from tilth.analysis.fit.side_by_side import processes, side_by_side
 from tilth.analysis.runs import segments
 from tilth.analysis.runs.driving import Driven, driving, identity
 from tilth.analysis.runs.kept import cache_folder, key_of, load, store
@@ -203,17 +201,12 @@ def _fit_these(
         for k in which:
             yield k, fit_segment(machine, driven_of(wanted[k], cache), methods)
         return
-    # Forked, so that a process has all modules at once; it has one thread until the pool is there.
-    context = multiprocessing.get_context("fork")
-    with ExitStack() as stack:
-        pool = stack.enter_context(ProcessPoolExecutor(count, mp_context=context))
-        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
+    with processes(count) as pool:
         futures: Mapping[Future[SegmentFit], int] = {
             pool.submit(fit_segment, machine, driven_of(wanted[k], cache), methods): k for k in which
         }
         for future in as_completed(futures):
             yield futures[future], future.result()
-        pool.shutdown()  # its threads are gone before the next ones fork
 
 
 def driven_of(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:

@@ -7,7 +7,25 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
+from tilth.logger.child import end_with
+
 Map = Callable[..., Iterable[Any]]
+
+
+@contextmanager
+def processes(count: int, start: str = "fork") -> Iterator[ProcessPoolExecutor]:
+    """So many processes, which end with this one; after a failure nothing that waits is begun.
+
+    start: forked, a process has all modules at once; "spawn" where this one has threads.
+    """
+    context = multiprocessing.get_context(start)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=end_with, initargs=(os.getpid(),))
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()  # its threads are gone before the next ones fork
 
 
 @contextmanager
@@ -16,15 +34,9 @@ def side_by_side(count: int, jobs: int | None = None) -> Iterator[Map]:
 
     Results come in order and are the same for any number of processes. Functions and arguments are pickled.
     """
-    processes = min(count, jobs or os.cpu_count() or 1)
-    if processes < 2:
+    wanted = min(count, jobs or os.cpu_count() or 1)
+    if wanted < 2:
         yield map
         return
-    # Forked, so that a process has all modules at once.
-    pool = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("fork"))
-    try:
+    with processes(wanted) as pool:
         yield pool.map
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()

@@ -5,7 +5,7 @@ the work is shared out.
 """
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,3 +166,22 @@ def _by_block(seed: int, start: int, stop: int, k: int, *, normal: bool) -> Arra
     if not drawn:
         return np.zeros((0, k))
     return np.concatenate(drawn)[start - first * BLOCK : stop - first * BLOCK]
+
+
+def described(design: Design) -> dict[str, Any]:
+    """For JSON and people: what rigs these are."""
+    if isinstance(design, LogNormal):
+        what = f"{design.size} random rigs, by the covariance of a log's estimates"
+        return {"what": what, "names": list(design.names), "points": design.size}
+    what = (
+        f"a grid of {design.levels} values of each of {len(design.names)} parameters"
+        if isinstance(design, Grid)
+        else f"{design.size} random rigs of the box"
+    )
+    return {
+        "what": what,
+        "names": list(design.names),
+        "points": design.size,
+        "low": list(design.box.low),
+        "high": list(design.box.high),
+    }

@@ -11,10 +11,9 @@ import io
 import os
 import zlib
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import closing
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, NamedTuple
 from zipfile import BadZipFile
@@ -22,6 +21,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.analysis.fit.side_by_side import processes
 from tilth.analysis.sensitivity import accumulators
 from tilth.analysis.sensitivity.accumulators import Kept
 from tilth.analysis.sensitivity.designs import Design, LogNormal, checked
@@ -184,14 +184,10 @@ def _here(workers: int, plan: GlobalPlan, starts: Sequence[int]) -> Generator[tu
         for start in starts:
             yield start, stored_part(plan, start, end_of(plan, start))
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with processes(workers, "spawn") as pool:
         waiting = {pool.submit(stored_part, plan, start, end_of(plan, start)): start for start in starts}
-        try:
-            for future in as_completed(waiting):
-                yield waiting.pop(future), future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(waiting):
+            yield waiting.pop(future), future.result()
 
 
 def run(

@@ -16,6 +16,7 @@ from tilth.estimator.pose.lateness import Lateness
 from tilth.estimator.pose.log_time import SILENCE_NS
 from tilth.estimator.pose.receiver_track import NEAR_NS, Sample, Track
 from tilth.estimator.pose.screen import LASTING, Screens
+from tilth.estimator.state_json import NOT_STORED
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.flow import (
     Attitude,
@@ -58,7 +59,7 @@ _RECEIVER_KINDS = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a r
 class Aligner:
     """The measurements that poses are computed from. Times in ns on the clock of Frame.rx_ns."""
 
-    machine: Machine
+    machine: Machine = field(metadata=NOT_STORED)
     tracks: dict[str, Track]  # by mount, in the order of flow.Mount
     latency: Latency
     wheel: deque[Sample] = field(default_factory=lambda: deque(maxlen=256))

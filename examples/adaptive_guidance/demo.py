@@ -6,17 +6,11 @@ Three processes and two kinds of wires. The same field with fixed gains has been
 the implement's error of both is told row by row, as events, and drawn at the end.
 """
 
-import contextlib
 import json
 import logging
 import math
-import os
-import select
-import subprocess
-import sys
-import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -40,23 +34,22 @@ from tilth.adaptive_guidance.study import (
 )
 from tilth.estimator.models.parameters import rig_of
 from tilth.logger import compiling
+from tilth.logger.child import words_of
 from tilth.logger.daemon import run_daemon
 from tilth.logger.display import Display
+from tilth.logger.job import Job, JobEnded
 from tilth.logger.outlets import Events
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.notices import in_words
-from tilth.simulator.demo import DemoError, on_loopback
+from tilth.simulator.demo import STOP, DemoError, demo_errors, first_fact, on_loopback
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import as_json
 from tilth.simulator.simulate import PACKAGED
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
-STARTING_S: Final = 180.0
-TICK_S: Final = 0.1
-ENDING_S: Final = 30.0
 FIGURE: Final = "guidance.svg"
 
 
@@ -92,17 +85,16 @@ def run_guidance(
     fixed = driven(packaged(), seed, "fixed", work)
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     with ExitStack() as ends:
-        rig = _Process("tilth.simulator.real_time_rig")
-        ends.callback(rig.close)
-        text = on_loopback(text, _started(rig, text, seed, work, stop))
+        words = words_of("tilth.simulator.real_time_rig")
+        rig, first = _started(ends, stop, "the tractor", words, _order(text, seed, work))
+        text = on_loopback(text, first["port"])
         endpoint = free_endpoint(listen or parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
         machine = parse_machine(text)
         if watch is not None:
             watch(endpoint)
-        controller = _Process("tilth.adaptive_guidance", *_controller_arguments(machine, endpoint, work))
-        ends.callback(controller.close)
-        _first_fact(controller, stop, "the controller")
+        words = words_of("tilth.adaptive_guidance", *_controller_arguments(machine, endpoint, work))
+        controller, _ = _started(ends, stop, "the controller", words)
         events = Events()  # the daemon tells them: in its log, on the page, in the terminal
         watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, events)
         summary = run_daemon(
@@ -136,71 +128,33 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
         raise DemoError("stopped before it began") from None
 
 
-class _Process:
-    """A second process that tells lines of JSON. Ctrl-C in the terminal is not for it."""
-
-    def __init__(self, module: str, *arguments: str) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-        )
-        assert self._process.stdout is not None
-        os.set_blocking(self._process.stdout.fileno(), False)
-        self._received = b""
-
-    @property
-    def alive(self) -> bool:
-        return self._process.poll() is None
-
-    def order(self, fact: dict[str, Any]) -> None:
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.write(json.dumps(fact).encode() + b"\n")
-            self._process.stdin.flush()
-
-    def facts(self, timeout_s: float = 0.0) -> list[dict[str, Any]]:
-        """What it has told since the last call; waits so long where that is nothing."""
-        assert self._process.stdout is not None
-        select.select([self._process.stdout], [], [], timeout_s)
-        self._received += self._process.stdout.read() or b""
-        *lines, self._received = self._received.split(b"\n")
-        return [json.loads(line) for line in lines]
-
-    def close(self) -> None:
-        assert self._process.stdin is not None and self._process.stdout is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._process.stdin.close()
-        self._process.terminate()
-        self._process.wait(ENDING_S)
-        self._process.stdout.close()  # not before it has said its last word
-
-
-def _started(rig: _Process, text: str, seed: int, work: Work, stop: Callable[[], bool]) -> int:
-    """The port of its bus."""
+def _order(text: str, seed: int, work: Work) -> bytes:
+    """What the tractor's process is told first."""
     machine = packaged()
     line = plan(work, rig_of(machine))
     scenario = replace(scenario_of(machine, work), other_traffic=False)
-    rig.order(
-        {"machine_text": text, "seed": seed, "seconds": len(line.row) * STEP / SPEED + 3.0,
-         "scenario": as_json(scenario), "listeners": 2}
-    )  # fmt: skip
-    return int(_first_fact(rig, stop, "the tractor")["port"])
+    order = {
+        "machine_text": text, "seed": seed, "seconds": len(line.row) * STEP / SPEED + 3.0,
+        "scenario": as_json(scenario), "listeners": 2,
+    }  # fmt: skip
+    return json.dumps(order).encode()
 
 
-def _first_fact(process: _Process, stop: Callable[[], bool], name: str) -> dict[str, Any]:
-    """Waits for it. Raises DemoError."""
-    deadline = time.monotonic() + STARTING_S
-    while time.monotonic() < deadline:
-        facts = process.facts(TICK_S)
-        if facts:
-            return facts[0]
-        if stop():
-            raise DemoError("stopped before it began")
-        if not process.alive:
-            break
-    raise DemoError(f"{name} did not start; what it said stands above")
+def _started(
+    ends: ExitStack, stop: Callable[[], bool], name: str, words: Sequence[str], *lines: bytes
+) -> tuple[Job, Any]:
+    """A process that tells lines of JSON, and the first of them. Raises DemoError."""
+    with demo_errors(name):
+        job = Job(words, lines)
+        ends.callback(job.close)
+        return job, first_fact(job, stop)
+
+
+def _facts(job: Job) -> Iterator[dict[str, Any]]:
+    """What it has told since the last call."""
+    with suppress(JobEnded):
+        while (line := job.next(0.0)) is not None:
+            yield json.loads(line)
 
 
 def _controller_arguments(machine: Machine, endpoint: str, work: Work) -> list[str]:
@@ -218,8 +172,8 @@ def _controller_arguments(machine: Machine, endpoint: str, work: Work) -> list[s
 class _Watching:
     """Reads what tractor and controller tell, ten times a second, and says how each row went."""
 
-    rig: _Process
-    controller: _Process
+    rig: Job
+    controller: Job
     line: Plan
     middle: float
     fixed: DrivenPath
@@ -240,8 +194,8 @@ class _Watching:
             return True
         if early and not self._stop_sent:
             self._stop_sent = True
-            self.rig.order({"stop": True})
-        for fact in self.rig.facts():
+            self.rig.send(STOP)
+        for fact in _facts(self.rig):
             if "sent" in fact:
                 self.end = fact
             elif "implement" in fact:
@@ -273,7 +227,7 @@ class _Watching:
         if not self.controller.alive and not self._silent and not self.end:
             self._silent = True
             self._event("the controller has ended: the wheels stay, the driver brakes")
-        for fact in self.controller.facts():
+        for fact in _facts(self.controller):
             before, self._code = self._code, fact["code"]
             if before != self._code:  # not each second of a silence
                 why = f"does not steer: {fact['reason']}" if self._code else "steers"

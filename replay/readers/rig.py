@@ -81,16 +81,15 @@ def _renamed(records: Iterator[Record], renames: Mapping[str, str]) -> Iterator[
 
 
 def bus_names(pairs: Sequence[str], machine: Machine | None) -> dict[str, str]:
-    """{name in the log: name in the machine file, or LEFT_OUT} of --bus LOG=MACHINE. Raises ValueError in one
-    sentence."""
+    """{name in the log: name in the machine file, or LEFT_OUT} of --bus LOG=MACHINE. Raises MachineError."""
     if pairs and machine is None:
-        raise ValueError("--bus LOG=MACHINE needs --machine M.toml, whose buses it names")
+        raise MachineError("--bus LOG=MACHINE needs --machine M.toml, whose buses it names")
     names = [bus.name for bus in machine.bus] if machine is not None else []
     found = {}
     for pair in pairs:
         theirs, equals, ours = pair.partition("=")
         if not equals or ours not in (*names, LEFT_OUT):
-            raise ValueError(
+            raise MachineError(
                 f"--bus {pair}: write LOG=MACHINE; the machine file has {', '.join(names)}; {theirs}= leaves "
                 "the bus out"
             )

@@ -70,7 +70,7 @@ def test_a_cut_log_is_fitted_as_far_as_it_is_whole(fit: Answer) -> None:
         (("--segment", "4:27", "--mark", "west*"), 2, "leave out --mark and --kind beside it"),
         (("--mark", "north*"), 1, "no marks begin and end a run that is called north*"),
         (("--kind", "dance"), 2, "invalid choice: 'dance'"),
-        (("--jobs", "0"), 2, "0: give a number of processes, from 1 up"),
+        (("--jobs", "0"), 2, "0: give a whole number from 1 up"),
         (("--bus", "a=can0"), 2, "--bus LOG=MACHINE needs --machine"),
     ],
 )

@@ -103,7 +103,7 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
 
 def test_another_machine_file_has_its_own_values(tmp_path: Path) -> None:
     path = tmp_path / "x.warm.json"
-    warm_start_file.write(path, warm_start_file.text_of(MACHINE, {}, 5, [SLIPPED]))
+    path.write_text(warm_start_file.text_of(MACHINE, {}, 5, [SLIPPED]))
     kept = warm_start_file.read(path, MACHINE, 6)
     assert kept is not None and kept.accepted == [SLIPPED]
     changed = MACHINE.wheel_angle.model_copy(update={"sign": -1})

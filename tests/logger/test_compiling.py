@@ -292,7 +292,7 @@ from tilth.schemas.sentences import notice_sentence
 said = []
 preparing = Preparing(MACHINE, lambda kind, told: said.append(notice_sentence(told)))
 deadline = time.monotonic() + 120.0
-while preparing._process is None and time.monotonic() < deadline:
+while preparing._job is None and time.monotonic() < deadline:
     time.sleep(0.02)
 print(said[0], os.environ["NUMBA_CACHE_DIR"], preparing.text, sep="\\n")
 preparing.close()

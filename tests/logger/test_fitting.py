@@ -1,6 +1,8 @@
 """Fits beside the loop: in time, late, lost; and that a replay uses each just where the live run did."""
 
 import json
+import os
+import signal
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -18,8 +20,9 @@ from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_json_data
-from tilth.logger.fitting import LATE, UNDECIDED, InPlace, ReplayedFits, Worker
+from tilth.logger.fitting import GIVEN_UP, LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
+from tilth.logger.job import OUT_OF_MEMORY
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.offline import ReplayOutputs, replay
@@ -43,7 +46,6 @@ SECOND = 1_000_000_000
 GAP_S = 15.0  # into the drive: there a window closes, just long enough for a fit
 END_S = GAP_S + 6.0
 METHODS = tuple(row.method for row in ESTIMATORS if row.fitting)
-LOST = "signal 9"
 BUSY_S = 0.3  # by which a fit is late
 
 
@@ -161,18 +163,13 @@ def test_a_fit_that_cannot_be_made_is_told_and_ends_nobody(worker: Worker, event
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=8)) is not None
 
 
-def kill(worker: Worker) -> None:
-    process = worker._process
-    assert process is not None
-    process.kill()
-    process.wait()
-
-
 def test_a_process_that_dies_takes_one_fit_with_it(worker: Worker, events: list[str]) -> None:
     events.clear()
-    kill(worker)
+    assert worker._job is not None
+    os.kill(worker._job.pid, signal.SIGKILL)
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=11)) is None
-    assert len(events) == 1 and LOST in events[0]
+    again = "its process is started again for the next"
+    assert events == [f"fit: a fit of pem failed: {OUT_OF_MEMORY}; {again}"]
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=12)) is not None
 
 
@@ -182,7 +179,7 @@ def test_a_fit_that_never_ends_is_given_up_at_the_next(worker: Worker, events: l
     while worker._busy == 0:
         continue
     assert worker.made(pem.METHOD, replace(a_job(), asked_ns=22)) is not None
-    assert len(events) == 1 and LOST in events[0]
+    assert len(events) == 1 and GIVEN_UP in events[0]
 
 
 def _endless() -> Any:
@@ -198,9 +195,9 @@ def test_an_end_in_the_middle_of_a_fit_waits_for_nothing() -> None:
     worker.ask(pem.METHOD, replace(a_job(), record=_endless()))
     worker.close()
     deadline = time.monotonic() + 30.0  # a busy computer may take longer to end it than `close` waits
-    while worker._process is not None and time.monotonic() < deadline:
+    while worker._job is not None and time.monotonic() < deadline:
         continue
-    assert worker._process is None
+    assert worker._job is None
     assert messages == []
 
 

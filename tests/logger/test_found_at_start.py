@@ -25,6 +25,7 @@ from tilth.logger import warm_start_file
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.log import whole_file
 from tilth.schemas.flow import Event
 from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.traffic import simulate
@@ -98,7 +99,7 @@ def test_whatever_lies_there_a_run_begins_and_records(what: str, tmp_path: Path,
 def test_it_is_replaced_by_what_a_run_has_learned(what: str, tmp_path: Path) -> None:
     path = warm_start_file.path_of(tmp_path, MACHINE)
     LYING_THERE[what](path)
-    warm_start_file.write(path, json.dumps(kept()))
+    whole_file.write(path, json.dumps(kept()).encode())
     assert warm_start_file.read(path, MACHINE, NOW) is not None
     assert list(tmp_path.iterdir()) == [path]
 

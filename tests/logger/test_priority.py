@@ -1,7 +1,6 @@
 """Fits, reports and the compiling stand behind the recorder; where that is refused they run all the same."""
 
 import os
-import pickle
 import subprocess
 import sys
 
@@ -10,6 +9,7 @@ from logs import MACHINE
 from refused import refusing
 
 from tilth.logger import priority
+from tilth.logger.child import packed
 
 REFUSED = ("setpriority", "EPERM")
 
@@ -33,9 +33,9 @@ said = []
 worker = Worker(MACHINE, lambda kind, told: said.append(notice_sentence(told)))
 worker.start()
 deadline = time.monotonic() + 60.0
-while not (said if REFUSED else worker._process) and time.monotonic() < deadline:
+while not (said if REFUSED else worker._job) and time.monotonic() < deadline:
     time.sleep(0.01)
-print(os.getpriority(os.PRIO_PROCESS, worker._process.pid), said)
+print(os.getpriority(os.PRIO_PROCESS, worker._job.pid), said)
 worker.close()
 """
 
@@ -60,7 +60,7 @@ def test_fits_run_behind_or_say_why_not(refused: bool) -> None:
 def test_the_compiling_does_not_die_of_a_refusal() -> None:
     done = subprocess.run(
         [*refusing(*REFUSED), sys.executable, "-P", "-m", "tilth.logger.compiling", "-"],
-        input=pickle.dumps(MACHINE), capture_output=True, check=False,
+        input=packed(MACHINE), capture_output=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr.decode()
 

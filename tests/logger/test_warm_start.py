@@ -176,7 +176,7 @@ def test_what_is_spoilt_is_not_used(change: dict[str, Any], expected: Code) -> N
 
 def stored(tmp_path: Path) -> Path:
     path = warm_start_file.path_of(tmp_path, MACHINE)
-    warm_start_file.write(path, warm_start_file.text_of(MACHINE, save_learned(taught(), NOW), NOW))
+    path.write_text(warm_start_file.text_of(MACHINE, save_learned(taught(), NOW), NOW))
     return path
 
 

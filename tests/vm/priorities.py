@@ -26,9 +26,9 @@ def niceness(part: Worker | Preparing) -> int:
     """Of its process, once that is there."""
     deadline = time.monotonic() + LONGEST_S
     while time.monotonic() < deadline:
-        if part._process is not None:
+        if part._job is not None:
             time.sleep(0.5)  # it is set right after the start
-            return os.getpriority(os.PRIO_PROCESS, part._process.pid)
+            return os.getpriority(os.PRIO_PROCESS, part._job.pid)
         time.sleep(0.1)
     raise TimeoutError(f"{part} started no process")
 

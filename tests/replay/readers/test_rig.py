@@ -9,6 +9,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import LogError
 from tilth.replay.readers.rig import LEFT_OUT, bus_names, machine_in, on_buses_of
 from tilth.schemas.flow import Frame
+from tilth.schemas.machine import MachineError
 
 LINE = "(1700000000.{:06d}) {} 09F8011C#A7DF521F4A624103\n"
 OURS = MACHINE.bus[0].name
@@ -45,7 +46,7 @@ def test_frames_have_the_bus_names_of_the_machine_file(
 def test_pairs_of_the_command_line() -> None:
     assert bus_names([f"vcan7={OURS}", "vcan8="], MACHINE) == {"vcan7": OURS, "vcan8": LEFT_OUT}
     for pairs, machine in (([f"vcan7={OURS}"], None), (["vcan7"], MACHINE), (["vcan7=no_bus"], MACHINE)):
-        with pytest.raises(ValueError, match="--bus"):
+        with pytest.raises(MachineError, match="--bus"):
             bus_names(pairs, machine)
 
 
