@@ -11,17 +11,18 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, Final, NoReturn
 
 from tilth.logger.can.lean_can import import_can
 from tilth.schemas.invocation import command, started_as
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import unusual
+from tilth.schemas.readable import reason_of
 
 # One row per command: module tilth.cli.<name> has `add(subparsers)`, which adds the parser of that name, and
 # `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
@@ -112,10 +113,43 @@ def add_bus_names(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def say_unusual(command: str, machine: Machine) -> None:
-    """What is rare in a machine file, to stderr."""
+def buses_of(args: argparse.Namespace, machine: Machine | None) -> dict[str, str]:
+    """{name in the logs: name in the machine file} of --bus. Raises WrongUse."""
+    from tilth.replay.readers.rig import bus_names  # with all readers of logs
+
+    try:
+        return bus_names(args.bus, machine)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+
+
+def at_least(low: int, what: str = "whole number") -> Callable[[str], int]:
+    """A type for argparse: such a number from low up."""
+
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < low:
+            raise argparse.ArgumentTypeError(f"{text}: give a {what}, from {low} up")
+        return int(text)
+
+    return number
+
+
+PROCESSES: Final[dict[str, Any]] = {
+    "type": at_least(1, "number of processes"), "metavar": "N",
+    "help": "processes (as many as there are cores)",
+}  # fmt: skip
+"""What an option of how many there are to be is like."""
+
+
+def say(of: str, text: str) -> None:
+    """To stderr, after the name of a command."""
+    print(f"tilth {of}: {text}", file=sys.stderr, flush=True)
+
+
+def say_unusual(of: str, machine: Machine) -> None:
+    """What is rare in a machine file."""
     for text in unusual(machine):
-        print(f"tilth {command}: machine file: {text}", file=sys.stderr)
+        say(of, f"machine file: {text}")
 
 
 def _started(program: str, environment: Mapping[str, str]) -> list[str]:
@@ -154,33 +188,40 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             subparsers.add_parser(name, help=summary)
     args = parser.parse_args(words)
-    status = 0
     try:
-        status = importlib.import_module(f"tilth.cli.{args.command}").run(args)
+        status: int = importlib.import_module(f"tilth.cli.{args.command}").run(args)
         sys.stdout.flush()
-    except (MachineError, WrongUse) as error:
-        print(f"tilth {args.command}: {error}", file=sys.stderr)
-        return 2
-    except CommandFailed as error:
-        print(f"tilth {args.command}: {error}", file=sys.stderr)
-        return error.status
-    except PermissionError as error:
-        refusal = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
-        print(f"tilth {args.command}: {refusal}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"tilth {args.command}: stopped", file=sys.stderr)
-        return 1
-    except BrokenExecutor:
-        killed = "one of its processes was killed, most likely since memory ran out"
-        print(f"tilth {args.command}: {killed}; give fewer logs, or use another computer", file=sys.stderr)
-        return 1
     except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:  # `tilth fit --json >FILE` on a full disk
-        place = error.filename or "standard output"
-        print(f"tilth {args.command}: {place}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
-        with suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        _drop_output()
+        return 0
+    except (MachineError, WrongUse, CommandFailed, KeyboardInterrupt, BrokenExecutor, OSError) as error:
+        text, status = _in_words(error)
+        say(args.command, text)
+        if isinstance(error, OSError) and not isinstance(error, PermissionError):
+            with suppress(OSError):
+                _drop_output()
     return status
+
+
+def _drop_output() -> None:
+    """What has not been written yet goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _in_words(error: BaseException) -> tuple[str, int]:
+    """How a command ended, and its exit status."""
+    match error:
+        case CommandFailed():
+            return str(error), error.status
+        case MachineError() | WrongUse():
+            return str(error), 2
+        case PermissionError():
+            who = "you may not; ask for access, or do it as who may (sudo -u tilth)"
+            return f"{error.filename}: {who}", 2
+        case OSError():  # `tilth fit --json >FILE` on a full disk
+            return f"{error.filename or 'standard output'}: {reason_of(error)}", 1
+        case BrokenExecutor():
+            killed = "one of its processes was killed, most likely since memory ran out"
+            return f"{killed}; give fewer logs, or use another computer", 1
+        case _:
+            return "stopped", 1

@@ -2,16 +2,16 @@
 
 import argparse
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import zenoh
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say
 from tilth.cli.calibrate_computing import BackgroundEstimates
 from tilth.cli.calibrate_screen import KEYS, line, panel, without_seconds
 from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
@@ -29,6 +29,8 @@ from tilth.schemas.flow import Measurement
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
+
+_say = partial(say, "calibrate")
 
 TURN_S: Final = 0.5
 READING_S: Final = 0.4  # longest time of a turn that goes into reading
@@ -267,7 +269,3 @@ def _written(args: argparse.Namespace, *names: str) -> list[str]:
 
 def _buses(args: argparse.Namespace) -> list[str]:
     return [word for pair in args.bus for word in ("--bus", pair)]
-
-
-def _say(text: str) -> None:
-    print(f"tilth calibrate: {text}", file=sys.stderr, flush=True)

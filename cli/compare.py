@@ -3,7 +3,7 @@
 import argparse
 import json
 import math
-import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,11 @@ from tilth.analysis.fit.compare import FitComparison, NotComparable, as_json, co
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.fit.result import as_json as fitted_json
 from tilth.analysis.runs.run import open_runs
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
+
+_say = partial(say, "compare")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -84,7 +86,3 @@ def _show(found: FitComparison) -> None:
     if found.missing:
         console.print(f"Not given by both: {', '.join(found.missing)}")
     console.print(found.sentence)
-
-
-def _say(text: str) -> None:
-    print(f"tilth compare: {text}", file=sys.stderr)

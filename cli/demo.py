@@ -7,17 +7,20 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, duration, say
 from tilth.logger.display import Display
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.schemas.invocation import command
 from tilth.simulator.demo import SPATIAL, Demo, DemoError, comparison_table, reasons, result, run_demo
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
+_say = partial(say, "demo")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -155,10 +158,6 @@ def _page(endpoint: str) -> Callable[[], None]:
         page.wait()
 
     return end
-
-
-def _say(text: str) -> None:
-    print(f"tilth demo: {text}", file=sys.stderr)
 
 
 def _tell(demo: Demo) -> None:

@@ -15,6 +15,7 @@ from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import reason_of
 
 STEP = "step"  # of MANOEUVRES
 
@@ -139,8 +140,9 @@ def write_report(
     except PermissionError:
         raise  # cli.main knows what to say
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        print(f"tilth {of}: {error.filename or out}: {reason}; nothing was written", file=sys.stderr)
+        print(
+            f"tilth {of}: {error.filename or out}: {reason_of(error)}; nothing was written", file=sys.stderr
+        )
         return 1
     print(f"tilth {of}: wrote {', '.join(map(str, written))}", file=sys.stderr)
     return 0

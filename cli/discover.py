@@ -6,13 +6,14 @@ import json
 import signal
 import sys
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from pydantic import ValidationError
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, duration, say
 from tilth.logger.log import whole_file
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
@@ -23,6 +24,9 @@ from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "discover")
 
 MOST_MESSAGES = 8
 MOST_CANDIDATES = 5
@@ -144,7 +148,7 @@ def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
         try:
             whole_file.write(args.out, text.encode(), replace=False)
         except OSError as error:
-            raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
+            raise WrongUse(f"--out {args.out}: {reason_of(error)}") from None
         then = command("check", str(args.out))
         _say(f"the draft is in {args.out}; fill in the lines marked FILL IN, then: {then}")
     if args.json:
@@ -235,7 +239,3 @@ def _messages(source: BusDevice) -> str:
         selector = "" if m.selector is None else f"/0x{m.selector:02X}"
         words.append(f"{m.pgn}{selector} " + (f"at {m.per_s:.3g}/s" if m.per_s else f"({m.count})"))
     return ", ".join(words) + (f", {len(often) - MOST_MESSAGES} more" if len(often) > MOST_MESSAGES else "")
-
-
-def _say(text: str) -> None:
-    print(f"tilth discover: {text}", file=sys.stderr)

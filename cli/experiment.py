@@ -6,13 +6,14 @@ import signal
 import sys
 import time
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import zenoh
 from numpy.random import default_rng
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, duration, say
 from tilth.cli.daemon_order import client_config, no_daemon, of_key
 from tilth.cli.experiment_learned import EDITED, FitOfRuns
 from tilth.cli.experiment_screen import KEYS, line, panel
@@ -28,6 +29,9 @@ from tilth.estimator.models.planned_run import Scheduled, share_followed
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.invocation import command
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "experiment")
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 MOST_TRIES = 999
@@ -217,8 +221,7 @@ def _read(path: Path) -> ExperimentPlan:
     except UnicodeDecodeError:
         raise WrongUse(f"{path}: no plan: not UTF-8 text") from None
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise WrongUse(f"{path}: the plan cannot be read ({reason})") from None
+        raise WrongUse(f"{path}: the plan cannot be read ({reason_of(error)})") from None
 
 
 def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
@@ -311,11 +314,11 @@ def _ended(args: argparse.Namespace, course: Course, prompt: Prompt) -> int:
     count = len(course.drives)
     skipped = skipped_of(prompt.attempts, count)
     if skipped:
-        print(f"tilth experiment: {skipped}", file=sys.stderr)
+        _say(skipped)
     left = count - prompt.at
     if left:
         were = "was" if left == 1 else "were"
-        print(f"tilth experiment: {left} of {count} runs {were} not driven", file=sys.stderr)
+        _say(f"{left} of {count} runs {were} not driven")
         print(f"to go on: {_going_on(args, course, prompt)}", file=sys.stderr)
     return 1 if left or skipped else 0
 

@@ -2,9 +2,9 @@
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,30 +13,24 @@ from rich.table import Table as RichTable
 
 from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, choose, fit_all
 from tilth.analysis.fit.result import as_json
-from tilth.analysis.runs.run import Run, open_runs
+from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import KINDS
-from tilth.cli import WrongUse, add_bus_names
+from tilth.cli import PROCESSES, WrongUse, add_bus_names, say
 from tilth.cli.log_errors import log_errors
+from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import bars
-from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.rig import bus_names
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
+
+_say = partial(say, "fit")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser("fit", help="the parameters of each run in logs, and of all together")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    parser.add_argument("--machine", type=Path, metavar="M.toml", help="instead of the one in the logs")
-    parser.add_argument(
-        "--segment",
-        action="append",
-        default=[],
-        type=segment,
-        metavar="[N:]A:B",
-        help="from A to B, seconds since the N-th run began (1); again for more; else marks, else found",
-    )
+    add_machine(parser)
+    add_segments(parser, "from A to B, seconds since the N-th run began (1); else marks, else what is found")
     parser.add_argument(
         "--kind",
         action="append",
@@ -44,33 +38,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         choices=KINDS,
         help="only such segments; again for more",
     )
-    parser.add_argument(
-        "--mark", action="append", default=[], metavar="NAME",
-        help='only between marks "NAME start" and "NAME end"; * is anything; again for more',
-    )  # fmt: skip
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
-    parser.add_argument("--jobs", type=_jobs, metavar="N", help="processes (as many as there are cores)")
+    parser.add_argument("--jobs", **PROCESSES)
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
-
-
-def segment(text: str) -> tuple[int, float, float]:
-    """(number of the run, start, end in s) of [N:]A:B."""
-    parts = text.split(":")
-    try:
-        number = int(parts[0]) if len(parts) == 3 else 1
-        start_s, end_s = (float(part) for part in parts[-2:])
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text}: write A:B or N:A:B, in seconds") from None
-    if len(parts) not in (2, 3) or not 0.0 <= start_s < end_s < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text}: write A:B with A before B, in seconds")
-    return number, start_s, end_s
-
-
-def _jobs(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text}: give a number of processes, from 1 up")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -80,18 +51,11 @@ def run(args: argparse.Namespace) -> int:
     try:
         with log_errors(), ExitStack() as stack:
             show = bars(stack)
-            machine = read_machine(args.machine) if args.machine else None
-            buses = _buses(args.bus, machine)
-            runs = open_runs(
-                args.logs, machine=machine, buses=buses, say=_say,
-                progress=lambda done, of: show("reading", done, of),
-            )  # fmt: skip
+            runs = runs_of(args, given_machine(args), _say, partial(show, "reading"))
             wanted = choose(runs, args.segment, args.kind, args.mark)
             _check_same_rig([one.run for one in wanted])
-            fitted = fit_all(
-                wanted, two_step=args.two_step, jobs=args.jobs,
-                progress=lambda done, of: show("fitting", done, of),
-            )  # fmt: skip
+            progress = partial(show, "fitting")
+            fitted = fit_all(wanted, two_step=args.two_step, jobs=args.jobs, progress=progress)
     except CannotFit as error:
         by_hand = "; `--segment A:B` names a stretch, in seconds since the log began"
         text = f"{error}{by_hand if isinstance(error, NoSteering) else ''}"
@@ -131,13 +95,6 @@ def _check_same_rig(runs: Sequence[Run]) -> None:
         raise CannotFit(f"{error}. They differ in {keys}") from None
 
 
-def _buses(pairs: Sequence[str], machine: Any) -> dict[str, str]:
-    try:
-        return bus_names(pairs, machine[0] if machine else None)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
-
-
 def _show(answer: dict[str, Any]) -> None:
     console = Console()
     for run in answer["runs"]:
@@ -171,7 +128,3 @@ def _table(title: str, parameters: dict[str, Any]) -> RichTable:
         text = "-" if row["value"] is None else of_logarithm(row["value"], row["sd"], unit)
         table.add_row(name, text, row["status"], row["reason"])
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth fit: {text}", file=sys.stderr)

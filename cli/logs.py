@@ -4,20 +4,24 @@ import argparse
 import json
 import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say
 from tilth.cli.offload import chosen
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.log.mcap_log import SIMULATED
 from tilth.logger.log.runs import Sidecar, StoredRun
 from tilth.replay.glance import FileState, Glance, glance
 from tilth.schemas.invocation import command
+from tilth.schemas.readable import reason_of
 from tilth.schemas.states import DeviceState
+
+_say = partial(say, "logs")
 
 COLUMNS = ("run", "began (UTC)", "length", "MB", "frames", "sensors", "faults and events", "state")
 
@@ -57,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
         try:
             one.write_sidecar(sidecar)
         except OSError as error:
-            why = f"{args.folder}: {(error.strerror or str(error)).lower()}; it cannot be noted there"
-            print(f"tilth logs: {why}", file=sys.stderr)
+            why = f"{args.folder}: {reason_of(error)}; it cannot be noted there"
+            _say(why)
             status = 1
     rows = [row for one in chosen(args.folder, names or None) if (row := _row(one)) is not None]
     if args.json:
@@ -89,7 +93,7 @@ def _row(one: StoredRun) -> dict[str, Any] | None:
         except FileNotFoundError:  # the recorder renames a run, or makes room, at any time
             continue
         except OSError as error:  # of one file; the others are told
-            unreadable.append(f"{path.name}: {(error.strerror or str(error)).lower()}")
+            unreadable.append(f"{path.name}: {reason_of(error)}")
     try:
         sidecar = one.sidecar()
     except (ValueError, OSError) as error:

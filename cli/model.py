@@ -3,20 +3,23 @@
 import argparse
 import json
 import math
-import sys
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
 from tilth.analysis.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
 from tilth.analysis.rig_tables import rig_tables
-from tilth.cli import WrongUse, say_unusual
+from tilth.cli import WrongUse, say, say_unusual
 from tilth.cli.desk_options import between
 from tilth.estimator.models.family import MODELS, model_named
 from tilth.estimator.models.identifiability import SENSOR_SETS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "model")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -106,7 +109,5 @@ def _plot(path: Path, name: str, rig: Rig, models: list[str], speeds: list[float
     try:
         rig_plot.draw_rig(name, rig, [model_named(model) for model in models], speeds, path)
     except OSError as error:
-        raise WrongUse(
-            f"--plot {path}: {(error.strerror or str(error)).lower()}; give another path"
-        ) from None
-    print(f"tilth model: drew {path}", file=sys.stderr)
+        raise WrongUse(f"--plot {path}: {reason_of(error)}; give another path") from None
+    _say(f"drew {path}")

@@ -2,15 +2,15 @@
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import zenoh
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import stages
 from tilth.logger.machine_file import read_machine
@@ -22,6 +22,8 @@ from tilth.replay.readers.log import LogError
 from tilth.schemas.machine import Machine, MachineError, Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
+
+_say = partial(say, "monitor")
 
 ANY_PORT = "tcp/127.0.0.1:0"
 
@@ -83,7 +85,3 @@ def kept_logs() -> Path:
     """The folder of the logs that a replay gave."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache) / "tilth" / "replays"
-
-
-def _say(text: str) -> None:
-    print(f"tilth monitor: {text}", file=sys.stderr)

@@ -1,21 +1,21 @@
 """`tilth report`: one HTML file of a drive, with its numbers beside it, for any computer and for paper."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
-from tilth.analysis.runs.run import Run, open_runs
-from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder
+from tilth.analysis.report.given import ALL, MOST_FITTED, given_segments
+from tilth.analysis.runs.run import Run
+from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, at_least, check_folder, say
 from tilth.cli.log_errors import log_errors
+from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import Steps, bars
-from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.invocation import command, installing
-from tilth.schemas.machine import Machine
+
+_say = partial(say, "report")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -32,20 +32,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="each figure as SVG and PDF into a new folder"
     )
-    parser.add_argument(
-        "--machine",
-        type=Path,
-        metavar="M.toml",
-        help="instead of the one in the log; needed where tilth did not write it",
-    )
-    parser.add_argument(
-        "--segment",
-        action="append",
-        default=[],
-        type=_times,
-        metavar="[N:]A:B",
-        help="report these seconds of the N-th log instead of the segments found; may be given several times",
-    )
+    add_machine(parser, "instead of the one in the log; needed where tilth did not write it")
+    add_segments(parser, "report these seconds of the N-th log instead of the segments found")
     parser.add_argument(
         "--fit",
         type=_most_fitted,
@@ -54,39 +42,19 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "without it the runs of a plan of experiments are all fitted, and so are segments that are named",
     )
     add_bus_names(parser)
-    parser.add_argument(
-        "--mark", action="append", default=[], metavar="NAME",
-        help='fit only what is between marks "NAME start" and "NAME end"; * is anything; again for more',
-    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
 
 
-def _times(text: str) -> GivenTimes:
-    try:
-        return given_times(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
 def _most_fitted(text: str) -> int:
-    if text == "all":
-        return ALL
-    if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text}: give a number of segments, at least 1, or all")
-    return int(text)
+    return ALL if text == "all" else at_least(1, "number of segments or all")(text)
 
 
 def run(args: argparse.Namespace) -> int:
     """1 if a log is cut off or damaged, or gives no poses."""
     _check_outputs(args)
     with log_errors(args.out, "nothing was written"):
-        machine = read_machine(args.machine) if args.machine else None
         with ExitStack() as stack:
-            show = bars(stack)
-            runs = open_runs(
-                args.logs, machine=machine, buses=_buses(args, machine), say=_say,
-                progress=lambda done, of: show("replay", done, of),
-            )  # fmt: skip
+            runs = runs_of(args, given_machine(args), _say, partial(bars(stack), "replay"))
         driven = [one for one in runs if one.poses.rows]
         for one in runs:
             if not one.poses.rows:
@@ -128,15 +96,6 @@ def _check_outputs(args: argparse.Namespace) -> None:
 def _holds_something(folder: Path) -> bool:
     """A folder with something in it, or a file."""
     return folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
-
-
-def _buses(args: argparse.Namespace, machine: tuple[Machine, str] | None) -> dict[str, str]:
-    if not args.bus:
-        return {}
-    try:
-        return bus_names(args.bus, (machine or machine_in(args.logs))[0])
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
 
 
 def _no_poses(one: Run) -> str:
@@ -208,7 +167,3 @@ def _words(args: argparse.Namespace) -> list[str]:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
     words += [word for name in args.mark for word in ("--mark", name)]
     return words + [word for name in args.bus for word in ("--bus", name)]
-
-
-def _say(text: str) -> None:
-    print(f"tilth report: {text}", file=sys.stderr)

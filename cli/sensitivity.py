@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from tilth.analysis.sensitivity.local_answer import (
 )
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
-from tilth.cli import WrongUse, say_unusual
+from tilth.cli import WrongUse, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
@@ -37,6 +38,9 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "sensitivity")
 
 STEPS = ("1%", "exact")
 ACROSS = 4  # columns of long names in a terminal
@@ -100,10 +104,7 @@ def run(args: argparse.Namespace) -> int:
         except PermissionError:
             raise
         except OSError as error:
-            _say(
-                f"{error.filename or 'results'}: {(error.strerror or str(error)).lower()}; what was done "
-                "is kept"
-            )
+            _say(f"{error.filename or 'results'}: {reason_of(error)}; what was done is kept")
             return 1
     if args.json:
         print(json.dumps(answer, allow_nan=False))
@@ -204,7 +205,3 @@ def _table(title: str, local: Mapping[str, Any], outputs: list[str]) -> RichTabl
         if any(row[output] for output in outputs):
             table.add_row(name, *("–" if row[one] is None else f"{row[one]:.3f}" for one in outputs))
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth sensitivity: {text}", file=sys.stderr)

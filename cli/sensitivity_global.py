@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,11 +25,13 @@ from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.outputs import SIX
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, run
-from tilth.cli import WrongUse
+from tilth.cli import PROCESSES, WrongUse, at_least, say
 from tilth.cli.desk_options import check_name
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
 from tilth.schemas.machine import Log
+
+_say = partial(say, "sensitivity")
 
 FEWEST: Final = 100  # points
 
@@ -44,7 +47,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--points",
-        type=_points,
+        type=at_least(FEWEST),
         metavar="N",
         help="with --global: so many random rigs of the box instead of the grid",
     )
@@ -80,21 +83,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         metavar=("CA", "CERT", "KEY"),
         help="with --dask tls://host:8786: certificates, PEM files of the authority and of this end",
     )
-    parser.add_argument(
-        "--workers", type=_workers, metavar="N", help="processes (as many as there are cores)"
-    )
-
-
-def _points(text: str) -> int:
-    if not text.isdecimal() or int(text) < FEWEST:
-        raise argparse.ArgumentTypeError(f"{text}: give a whole number from {FEWEST} up")
-    return int(text)
-
-
-def _workers(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text}: give a number of processes, from 1 up")
-    return int(text)
+    parser.add_argument("--workers", **PROCESSES)
 
 
 def design_of(args: argparse.Namespace) -> Design | None:
@@ -254,7 +243,3 @@ def _indices_table(output: str, rows: Mapping[str, Any]) -> RichTable:
             "–" if row["dgsm_bound"] is None else f"{row['dgsm_bound']:.3g}",
         )
     return table
-
-
-def _say(text: str) -> None:
-    print(f"tilth sensitivity: {text}", file=sys.stderr)

@@ -4,25 +4,28 @@ real time on a bus."""
 import argparse
 import json
 import math
-import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, say_unusual
+from tilth.cli import WrongUse, say, say_unusual
 from tilth.cli.progress_bar import bars
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.readable import reason_of
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import CannotBeDriven, Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
+_say = partial(say, "simulate")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -65,8 +68,7 @@ def run(args: argparse.Namespace) -> int:
         except ValueError as error:
             raise _not_driven(args.scenario, error) from None
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            print(f"tilth simulate: {error.filename or args.out}: {reason}", file=sys.stderr)
+            _say(f"{error.filename or args.out}: {reason_of(error)}")
             return 1
     _tell(source, simulated, args.json)
     return 0
@@ -119,10 +121,6 @@ def _not_driven(scenario: Path, error: ValueError) -> WrongUse:
     return WrongUse(f"this machine cannot be driven: {error}")
 
 
-def _say(text: str) -> None:
-    print(f"tilth simulate: {text}", file=sys.stderr)
-
-
 def _source(args: argparse.Namespace) -> SimulationInput:
     """What is asked for. Raises WrongUse, MachineError."""
     try:
@@ -133,7 +131,7 @@ def _source(args: argparse.Namespace) -> SimulationInput:
     except ScenarioError as error:
         raise WrongUse(f"{args.scenario}: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
-        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "not UTF-8 text"
+        reason = reason_of(error) if isinstance(error, OSError) else "not UTF-8 text"
         raise WrongUse(
             f"{args.scenario}: cannot be read ({reason}); give a scenario file, as in examples/scenarios"
         ) from None

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, 
 from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to, uncertainty_report
-from tilth.cli import WrongUse, say_unusual
+from tilth.cli import WrongUse, at_least, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
@@ -36,6 +37,8 @@ from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
+
+_say = partial(say, "uncertainty")
 
 FEWEST_DRAWS = 100
 _UNITS = {output.name: output.unit for output in OUTPUTS}
@@ -99,17 +102,11 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
     add_input(parser)
     parser.add_argument(
         "--draws",
-        type=_draws,
+        type=at_least(FEWEST_DRAWS),
         default=DRAWS,
         metavar="N",
         help=f"rigs that are drawn at each speed ({DRAWS})",
     )
-
-
-def _draws(text: str) -> int:
-    if not text.isdecimal() or int(text) < FEWEST_DRAWS:
-        raise argparse.ArgumentTypeError(f"{text}: give a whole number from {FEWEST_DRAWS} up")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -249,7 +246,3 @@ def _show(answer: Mapping[str, Any]) -> None:
         for name, output in entry["outputs"].items():
             if "wanted" in output:
                 console.print(in_words(name, output, answer["parameters"]))
-
-
-def _say(text: str) -> None:
-    print(f"tilth uncertainty: {text}", file=sys.stderr)

@@ -10,6 +10,7 @@ from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Coverage, RunSurvey, survey
 from tilth.schemas.flow import EventKind
+from tilth.schemas.readable import reason_of
 
 MOST_GAPS = 3
 STEPPED = "clock_stepped"  # a fault that the steps themselves tell
@@ -32,8 +33,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         found = survey(args.logs)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise WrongUse(f"{error.filename}: {reason}; give the files of a run") from None
+        raise WrongUse(f"{error.filename}: {reason_of(error)}; give the files of a run") from None
     if args.json:
         print(json.dumps([_plain(one) for one in found], indent=1))
     else:

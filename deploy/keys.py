@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.deploy.certificates import HostError, issue, new_authority
+from tilth.schemas.readable import reason_of
 
 DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
@@ -143,8 +144,7 @@ def read_register(folder: Path) -> Register:
         hosts, revoked = tuple(register["hosts"]), tuple(register["revoked"])
         return Register(register["machine"], register["prefix"], hosts, register["port"], parties, revoked)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise KeysError(f"{path}: {reason}; make keys first, with --machine and --host") from None
+        raise KeysError(f"{path}: {reason_of(error)}; make keys first, with --machine and --host") from None
     except (ValueError, LookupError, TypeError):
         raise KeysError(f"{path}: not written by tilth keys; name the folder that is") from None
 

@@ -29,7 +29,7 @@ from tilth.analysis.runs.table import Table
 from tilth.replay.readers.arrays import frame_parts
 from tilth.replay.readers.log import EmptyLog
 from tilth.schemas.frame_columns import FrameColumns
-from tilth.schemas.readable import readable
+from tilth.schemas.readable import readable, reason_of
 
 CLOCK: Final = "clock"  # the file of all channels
 ABOUT: Final = "export.json"
@@ -132,9 +132,8 @@ def _unfinished(folder: Path) -> Iterator[Path]:
         except PermissionError:
             raise
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
             raise ExportError(
-                f"{folder.parent}: no folder can be made in it ({reason}); give another"
+                f"{folder.parent}: no folder can be made in it ({reason_of(error)}); give another"
             ) from None
         yield place
         if folder.exists():
