@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
 from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, choose, fit_all
-from tilth.analysis.fit.result import as_json
+from tilth.analysis.fit.result import FitAnswer, RunAnswer, as_json
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import KINDS
 from tilth.cli import PROCESSES, WrongUse, add_bus_names, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import bars
+from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
@@ -95,14 +95,14 @@ def _check_same_rig(runs: Sequence[Run]) -> None:
         raise CannotFit(f"{error}. They differ in {keys}") from None
 
 
-def _show(answer: dict[str, Any]) -> None:
+def _show(answer: FitAnswer) -> None:
     console = Console()
     for run in answer["runs"]:
         told = ", ".join(run["determined"])
         console.print(_table(_title(run), run["parameters"]))
         if told:
             console.print(f"determined: {told}")
-    if answer["joint"] is None:
+    if answer["joint"] is None or answer["agreement"] is None:
         console.print("No segment told anything; the reasons stand above.")
         return
     if len(answer["runs"]) > 1:
@@ -113,18 +113,20 @@ def _show(answer: dict[str, Any]) -> None:
                 console.print(_table(f"together: {group['name']}", group["parameters"]))
 
 
-def _title(run: dict[str, Any]) -> str:
+def _title(run: RunAnswer) -> str:
     what = run["name"] or run["kind"].replace("_", " ")
     return f"segment {run['id']}, {what}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
 
 
-def _table(title: str, parameters: dict[str, Any]) -> RichTable:
+def _table(title: str, parameters: dict[str, ParameterEntry]) -> RichTable:
     table = RichTable(title=title, title_justify="left")
     for heading in ("", "estimate", "status", "reason"):
         table.add_column(heading, overflow="fold")
     for name in PARAMETERS:
         row = parameters[name]
         unit = "N/rad" if name.startswith("C_") else "m"
-        text = "-" if row["value"] is None else of_logarithm(row["value"], row["sd"], unit)
+        text = (
+            "-" if row["value"] is None or row["sd"] is None else of_logarithm(row["value"], row["sd"], unit)
+        )
         table.add_row(name, text, row["status"], row["reason"])
     return table

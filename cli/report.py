@@ -5,16 +5,21 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 from tilth.analysis.report.given import ALL, MOST_FITTED, given_segments
 from tilth.analysis.runs.run import Run
+from tilth.analysis.runs.segments import DrivenSegment
 from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, at_least, check_folder, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import Steps, bars
 from tilth.schemas.invocation import command, installing
 
+if TYPE_CHECKING:  # at run time wrong use is told before these imports
+    from tilth.analysis.report.data import Answers, ReportData
+
+Segments = list[tuple[DrivenSegment, ...]]  # of each run
 _say = partial(say, "report")
 
 
@@ -106,16 +111,14 @@ def _no_poses(one: Run) -> str:
     )
 
 
-def _given(runs: Sequence[Run], args: argparse.Namespace) -> list[Any]:
+def _given(runs: Sequence[Run], args: argparse.Namespace) -> Segments:
     try:
         return [given_segments(one, args.logs, args.segment) for one in runs]
     except ValueError as error:
         raise WrongUse(f"--segment: {error}") from None
 
 
-def _answers(
-    runs: Sequence[Run], segments: list[Any], args: argparse.Namespace, steps: Steps
-) -> dict[str, Any]:
+def _answers(runs: Sequence[Run], segments: Segments, args: argparse.Namespace, steps: Steps) -> "Answers":
     from tilth.analysis.report.answers import answers_of  # wrong use is told before these imports
 
     found = answers_of(runs, segments, steps, args.fit, args.mark)
@@ -125,7 +128,10 @@ def _answers(
 
 
 def _write(
-    runs: Sequence[Run], segments: list[Any], answers: dict[str, Any], args: argparse.Namespace
+    runs: Sequence[Run],
+    segments: Segments,
+    answers: "Answers",
+    args: argparse.Namespace,
 ) -> int:
     from tilth.analysis.report.build import report_of  # matplotlib takes a second: wrong use is told before
     from tilth.analysis.report.document import as_json
@@ -134,7 +140,8 @@ def _write(
     from tilth.analysis.report.writing import json_text, write
 
     facts = [facts_of(one, given) for one, given in zip(runs, segments, strict=True)]
-    report = report_of({"command": command("report", *_words(args)), "runs": facts, **answers})
+    data = {"command": command("report", *_words(args)), "runs": facts, **answers}
+    report = report_of(cast("ReportData", data))
     content = as_json(report)
     try:
         written = write(report, content, args.out, with_pdf=args.pdf, figures=args.figures)

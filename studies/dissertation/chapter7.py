@@ -23,7 +23,7 @@ from studies.dissertation.experiments import FIELDS, MANOEUVRES, PLANTS, REPLICA
 from studies.dissertation.true_values import true_point
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.fit.joint import join
-from tilth.analysis.fit.result import as_json
+from tilth.analysis.fit.result import JointAnswer, RunAnswer, as_json
 from tilth.analysis.report.answered import drawn
 from tilth.analysis.report.document import plain
 from tilth.analysis.runs.kept import cache_folder
@@ -114,11 +114,12 @@ def _joint(fitted: Fitted, chosen: Sequence[int] | None = None) -> dict[str, Any
     assert fitted.linearised is not None
     joint = join(fitted.wanted[0].run.machine, fitted.linearised, chosen)
     answer = as_json(replace(fitted, joint=joint))
-    return _six(answer["joint"]) | {"p": answer["agreement"]["p"]}
+    return _six(answer["joint"]) | {"p": joint.agreement.p}
 
 
-def _six(answer: dict[str, Any]) -> dict[str, Any]:
+def _six(answer: RunAnswer | JointAnswer | None) -> dict[str, Any]:
     """Values and sds of PARAMETERS, N/rad and m; None where one is not estimated."""
+    assert answer is not None
     rows = [answer["parameters"][name] for name in PARAMETERS]
     return {"values": [row["value"] for row in rows], "sds": [row["sd"] for row in rows]}
 
