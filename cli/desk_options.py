@@ -4,11 +4,13 @@ import argparse
 import difflib
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
+from tilth.analysis.report.document import DriveReport, as_json
 from tilth.analysis.rig_report import SPEED_RANGE
+from tilth.analysis.sensitivity.answers import Made
 from tilth.analysis.sensitivity.outputs import NAMES, SPEEDS
 from tilth.cli import REPORT_SUFFIXES, WrongUse, check_folder
 from tilth.estimator.models.family import MODELS
@@ -18,6 +20,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.readable import reason_of
 
 STEP = "step"  # of MANOEUVRES
+Data = TypeVar("Data")  # of a report
 
 
 def between(low: float, high: float, unit: str) -> Callable[[str], float]:
@@ -115,20 +118,17 @@ def check_out(out: Path | None) -> None:
     check_folder(out.parent)
 
 
-def made_by(machine: Machine, text: str) -> dict[str, Any]:
+def made_by(machine: Machine, text: str) -> Made:
     """What a report says of its origin."""
     return {"machine_sha256": machine_sha256(machine, text), "software": software()}
 
 
-def write_report(
-    of: str, build: Callable[[Mapping[str, Any]], Any], data: Mapping[str, Any], out: Path
-) -> int:
+def write_report(of: str, build: Callable[[Data], DriveReport], data: Data, out: Path) -> int:
     """Write the HTML file and the JSON beside it, both or none. The exit status: 1 where that fails.
 
     of: the command, for its words. Raises WrongUse where a file has come to be there meanwhile.
     """
-    from tilth.analysis.report.document import as_json  # matplotlib takes a second: only who writes pays
-    from tilth.analysis.report.writing import write
+    from tilth.analysis.report.writing import write  # matplotlib takes a second: only who writes pays
 
     report = build(data)
     try:

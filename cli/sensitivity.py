@@ -6,11 +6,12 @@ import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from tilth.analysis.sensitivity.answers import Made, SensitivityAnswer, SensitivityData, Values
 from tilth.analysis.sensitivity.local_answer import (
     OVERALL,
     LocalQuestion,
@@ -93,7 +94,8 @@ def run(args: argparse.Namespace) -> int:
     if sys.stderr.isatty():
         _say("computing; this may take some seconds")
     try:
-        answer: dict[str, Any] = {"machine": machine.machine.name, **local_answer(rig, question)}
+        local = local_answer(rig, question)
+        answer = cast("SensitivityAnswer", {"machine": machine.machine.name, **local})
     except ValueError as error:
         raise WrongUse(str(error)) from None
     for one in answer["refused"]:
@@ -137,14 +139,14 @@ def question_of(args: argparse.Namespace) -> LocalQuestion:
 
 def _write(
     args: argparse.Namespace,
-    answer: Mapping[str, Any],
+    answer: SensitivityAnswer,
     rig: Rig,
     question: LocalQuestion,
-    made: dict[str, Any],
+    made: Made,
 ) -> int:
     from tilth.analysis.sensitivity.local_page import local_report
 
-    data: dict[str, Any] = {
+    data: SensitivityData = {
         **answer, "command": command("sensitivity", *_words(args)), "made": made,
         "another": {}, "curves": {}, "frequency": {},
     }  # fmt: skip
@@ -179,7 +181,7 @@ def _words(args: argparse.Namespace) -> list[str]:
     return [*words, "--step", args.step, "--out", str(args.out)]
 
 
-def _show(answer: Mapping[str, Any]) -> None:
+def _show(answer: SensitivityAnswer) -> None:
     console = Console(highlight=False)
     console.print(
         f"{answer['machine']}: per cent of the output for each per cent of the parameter "
@@ -196,7 +198,7 @@ def _show(answer: Mapping[str, Any]) -> None:
             show_global(console, entry)
 
 
-def _table(title: str, local: Mapping[str, Any], outputs: list[str]) -> RichTable:
+def _table(title: str, local: Mapping[str, Values], outputs: list[str]) -> RichTable:
     """The most important parameter first; those that do nothing are left out."""
     table = RichTable(title=title or None, title_justify="left")
     for heading in ("", *outputs):

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, cast
 
 import numpy as np
 from rich.console import Console
@@ -17,6 +17,7 @@ from rich.table import Table as RichTable
 
 from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
+from tilth.analysis.sensitivity.answers import DesignAnswer, GlobalRow, LocalEntry, SensitivityAnswer
 from tilth.analysis.sensitivity.dask_batches import Certificates, DaskProblem, caution, on_dask
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, LogNormal, ParameterBox, Uniform
 from tilth.analysis.sensitivity.global_answer import global_answer, with_indices
@@ -153,7 +154,7 @@ def _check_room() -> None:
         )
 
 
-def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse.Namespace) -> None:
+def add_answers(answer: SensitivityAnswer, rig: Rig, design: Design, args: argparse.Namespace) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
     parts = _parts(args)
     answer["design"] = described(design)
@@ -168,14 +169,14 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
             try:
                 _check_room()
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
-                entry |= global_answer(plan, part)
+                entry.update(cast("LocalEntry", global_answer(plan, part)))
                 if args.indices:
                     with_indices(entry, indices_answer(plan, entry["outputs"], args.workers))
             except (ValueError, DaskProblem) as error:
                 raise WrongUse(str(error)) from None
 
 
-def described(design: Design) -> dict[str, Any]:
+def described(design: Design) -> DesignAnswer:
     """For JSON and people: what rigs these are."""
     if isinstance(design, LogNormal):
         what = f"{design.size} random rigs, by the covariance of a log's estimates"
@@ -209,7 +210,7 @@ def _bar(stack: ExitStack) -> Callable[[str], Callable[[int, int], None]]:
     return of
 
 
-def show_global(console: Console, entry: Mapping[str, Any]) -> None:
+def show_global(console: Console, entry: LocalEntry) -> None:
     """To a terminal."""
     title = f"over {entry['points']} rigs at {entry['speed']:g} m/s, {entry['model']} model"
     table = RichTable(title=title, title_justify="left")
@@ -229,7 +230,7 @@ def show_global(console: Console, entry: Mapping[str, Any]) -> None:
         console.print(f"{entry['unstable_domain']['text']}.")
 
 
-def _indices_table(output: str, rows: Mapping[str, Any]) -> RichTable:
+def _indices_table(output: str, rows: Mapping[str, GlobalRow]) -> RichTable:
     table = RichTable(title=f"what makes the variance of {output}", title_justify="left")
     for heading in ("", "Sobol', first order", "Sobol', total", "Morris", "bound by derivatives"):
         table.add_column(heading, justify="right" if heading else "left")

@@ -7,12 +7,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
 from tilth.analysis.runs.run import Run, open_runs
+from tilth.analysis.sensitivity.answers import UncertaintyAnswer, UncertaintyData
 from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
@@ -121,20 +121,19 @@ def run(args: argparse.Namespace) -> int:
             raise WrongUse("the machine file says of nothing how well it is known; give --sd NAME=SD")
         if sys.stderr.isatty():
             _say("computing; this may take a minute")
-        answer: dict[str, Any] = {
-            "machine": machine.machine.name, **uncertainty_answer(known, _question(args))
-        }  # fmt: skip
+        answer = uncertainty_answer(known, _question(args))
     except ValueError as error:
         raise WrongUse(str(error)) from None
     for one in answer["refused"]:
         _say(one["reason"])
     if args.json:
-        print(json.dumps(answer, allow_nan=False))
+        print(json.dumps({"machine": machine.name, **answer}, allow_nan=False))
     elif args.out is None:
-        _show(answer)
+        _show(machine.name, answer)
     status = 1 if answer["refused"] else 0
     if args.out is not None:
-        data = {
+        data: UncertaintyData = {
+            "machine": machine.name,
             **answer,
             "command": command("uncertainty", *_words(args)),
             "made": made_by(machine, text),
@@ -229,9 +228,9 @@ def _words(args: argparse.Namespace) -> list[str]:
     return [*words, "--draws", str(args.draws), "--out", str(args.out)]
 
 
-def _show(answer: Mapping[str, Any]) -> None:
+def _show(name: str, answer: UncertaintyAnswer) -> None:
     console = Console(highlight=False)
-    console.print(f"{answer['machine']}, with what {answer['source']} knows, {after(answer['input'])}")
+    console.print(f"{name}, with what {answer['source']} knows, {after(answer['input'])}")
     for entry in answer["speeds"]:
         title = f"{entry['speed']:g} m/s, {entry['model']} model, {entry['seconds']:.3g} s"
         table = RichTable(title=title, title_justify="left")
