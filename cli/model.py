@@ -87,9 +87,9 @@ def run(args: argparse.Namespace) -> int:
     drive = Drive(manoeuvre_named(args.manoeuvre), args.sensors, amplitude, args.seconds)
     if args.plot is not None:
         _plot(args.plot, machine.machine.name, rig, [model.name for model in models], speeds)
-    report = {"machine": machine.machine.name} | rig_report(rig, models, speeds, drive)
+    report = rig_report(rig, models, speeds, drive)
     if args.json:
-        print(json.dumps(report, allow_nan=False))
+        print(json.dumps({"machine": machine.name, **report}, allow_nan=False))
         return 0
     console = Console(highlight=False)
     for part in rig_tables(machine.machine.name, report):
