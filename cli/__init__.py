@@ -16,7 +16,7 @@ from concurrent.futures import BrokenExecutor
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import NoReturn
 
 from tilth.logger.can.lean_can import import_can
 from tilth.schemas.invocation import command, started_as
@@ -134,11 +134,10 @@ def at_least(low: int, what: str = "whole number") -> Callable[[str], int]:
     return number
 
 
-PROCESSES: Final[dict[str, Any]] = {
-    "type": at_least(1, "number of processes"), "metavar": "N",
-    "help": "processes (as many as there are cores)",
-}  # fmt: skip
-"""What an option of how many there are to be is like."""
+def add_processes(parser: argparse.ArgumentParser, option: str) -> None:
+    """The option of how many there are to be."""
+    processes = at_least(1, "number of processes")
+    parser.add_argument(option, type=processes, metavar="N", help="processes (as many as there are cores)")
 
 
 def say(of: str, text: str) -> None:

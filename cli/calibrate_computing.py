@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from tilth.cli.background_command import BackgroundCommand
 from tilth.client.calibration.shown import ComputedSoFar
@@ -83,7 +83,7 @@ class BackgroundEstimates:
         self.close()
         took = time.monotonic() - self._began_s
         try:
-            found: dict[str, Any] = json.loads(answer)
+            found: dict[str, object] = json.loads(answer)
         except ValueError:
             why = lines[-1].removeprefix("tilth calibrate: ")[:300] if lines else "it ended without a word"
             self._told = f"The estimate failed: {why}."

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -106,27 +105,21 @@ def parse_buses(specifications: Sequence[str]) -> list[Bus]:
     for given in specifications:
         place, *pairs = given.split(",")
         interface, colon, channel = place.partition(":")
-        values: dict[str, Any] = {}
+        values: dict[str, str | int | float | bool] = {}
         for pair in pairs:
             key, equals, text = pair.partition("=")
             values[key] = _value(text)
             colon = colon and equals
         if not (interface and channel and colon):
             raise WrongUse(f"--bus {given}: write INTERFACE:CHANNEL[,key=value…], such as socketcan:can0")
-        bitrate = values.pop("bitrate", 250_000)
         names = [bus.name for bus in buses]
         plain = bus_name(channel, names) == channel
         name = channel if plain else bus_name(f"can{len(buses)}", names)
         try:
-            buses.append(
-                Bus(
-                    name=bus_name(name, names),
-                    interface=interface,
-                    channel=channel,
-                    bitrate=bitrate,
-                    options=values,
-                )
-            )
+            buses.append(Bus.model_validate({
+                "name": bus_name(name, names), "interface": interface, "channel": channel,
+                "bitrate": values.pop("bitrate", 250_000), "options": values,
+            }))  # fmt: skip
         except ValidationError as error:
             raise WrongUse(f"--bus {given}: {error.errors()[0]['msg']}") from None
     return buses
@@ -161,7 +154,7 @@ def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
         print(text)
 
 
-def as_json(findings: Findings, text: str) -> dict[str, Any]:
+def as_json(findings: Findings, text: str) -> dict[str, object]:
     return {
         "frames": findings.frames,
         "seconds": findings.seconds,
@@ -184,7 +177,7 @@ def as_json(findings: Findings, text: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _source_as_json(source: BusDevice) -> dict[str, Any]:
+def _source_as_json(source: BusDevice) -> dict[str, object]:
     lag = source.turn_rate_lag
     return {
         "bus": source.bus,

@@ -14,7 +14,7 @@ from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, ch
 from tilth.analysis.fit.result import FitAnswer, RunAnswer, as_json
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import KINDS
-from tilth.cli import PROCESSES, WrongUse, add_bus_names, say
+from tilth.cli import WrongUse, add_bus_names, add_processes, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import bars
@@ -39,7 +39,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="only such segments; again for more",
     )
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
-    parser.add_argument("--jobs", **PROCESSES)
+    add_processes(parser, "--jobs")
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
 

@@ -26,7 +26,7 @@ from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.outputs import SIX
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, run
-from tilth.cli import PROCESSES, WrongUse, at_least, say
+from tilth.cli import WrongUse, add_processes, at_least, say
 from tilth.cli.desk_options import check_name
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
@@ -84,7 +84,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         metavar=("CA", "CERT", "KEY"),
         help="with --dask tls://host:8786: certificates, PEM files of the authority and of this end",
     )
-    parser.add_argument("--workers", **PROCESSES)
+    add_processes(parser, "--workers")
 
 
 def design_of(args: argparse.Namespace) -> Design | None:

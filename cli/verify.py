@@ -4,7 +4,6 @@ import argparse
 import json
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
 
 from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
@@ -103,10 +102,10 @@ def _utc(one: RunSurvey, t_ns: int) -> str:
     return utc_text(t_ns + one.utc_minus_ns)
 
 
-def _plain(one: RunSurvey) -> dict[str, Any]:
+def _plain(one: RunSurvey) -> dict[str, object]:
     """Keys are those of docs/logs.md: the coverage of each topic stands under `heard`."""
     published = {"coverage": "heard"}
-    plain: dict[str, Any] = {
+    plain: dict[str, object] = {
         published.get(each.name, each.name): getattr(one, each.name) for each in fields(one)
     }
     plain["files"] = [str(path) for path in one.files]
@@ -119,6 +118,6 @@ def _plain(one: RunSurvey) -> dict[str, Any]:
     return plain | {"began": began, "duration_s": one.duration_s, "good": one.good}
 
 
-def _coverage_json(coverage: Coverage) -> dict[str, Any]:
+def _coverage_json(coverage: Coverage) -> dict[str, object]:
     """`gaps`: [t_ns, s] of each."""
     return asdict(coverage) | {"longest_gap_s": max((length for _, length in coverage.gaps), default=0.0)}

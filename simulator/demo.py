@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, Self
+from typing import Final, Literal, Self
 
 from rich.table import Table
 
@@ -237,7 +237,7 @@ class Player:
     ) -> None:
         self.close()
 
-    def _order(self, order: dict[str, Any]) -> None:
+    def _order(self, order: dict[str, object]) -> None:
         if self._process.stdin is not None:
             self._process.stdin.write(json.dumps(order).encode() + b"\n")
 
@@ -271,7 +271,7 @@ def _interval(estimate: Estimate | None, i: int) -> tuple[float, float] | None:
     return interval(value, log_sd)
 
 
-def result(demo: Demo) -> dict[str, Any]:
+def result(demo: Demo) -> dict[str, object]:
     """What `tilth demo --json` says: that of a replay, with truth and the fate of the frames."""
     summary = demo.summary
     first, last = summary.first_frame_ns, summary.last_frame_ns

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -90,7 +90,7 @@ class Calibrated:
         """How the wheels follow an automatic steering, a sentence."""
         return self.steering if isinstance(self.steering, str) else self.steering.words
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Plain data, SI."""
         return {
             "machine": self.machine.name,

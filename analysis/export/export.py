@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -150,7 +150,7 @@ def _unfinished(folder: Path) -> Iterator[Path]:
 class _Files:
     """The files of a run, each made when the first rows come."""
 
-    def __init__(self, plan: ExportPlan, place: Path, facts: dict[str, Any]) -> None:
+    def __init__(self, plan: ExportPlan, place: Path, facts: dict[str, object]) -> None:
         self._plan, self._place, self._facts = plan, place, facts
         self._open: dict[str, TableFile] = {}
         self._columns: dict[str, Sequence[ExportColumn]] = {}
@@ -178,7 +178,7 @@ class _Files:
         for file in self._open.values():
             file.abandon()
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         return {
             name: {"rows": rows, "columns": described(self._columns[name])}
             for name, rows in self.rows.items()

@@ -1,7 +1,7 @@
 """The report of uncertainties: how well each output is known, by what, and what must be known better."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from tilth.analysis.report.document import (
     WARNING,
@@ -187,7 +187,7 @@ def _distributions(entry: UncertaintyEntry, key: str) -> ReportFigure:
 
 
 def _growth(entry: UncertaintyEntry, key: str) -> ReportFigure:
-    panels: list[dict[str, Any]] = []
+    panels: list[dict[str, object]] = []
     factors: Sequence[float] = ()
     for name, one in entry["outputs"].items():
         factor, factors = _FACTOR[one["unit"]], one["growth"]["factors"]

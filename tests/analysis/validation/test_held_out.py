@@ -96,7 +96,7 @@ def test_subsets(count: int, rows: int) -> None:
 
 
 def test_a_group_of_the_dissertations_runs_is_the_table(fitted: Fitted, table: tuple[Subset, ...]) -> None:
-    rows = chapter7.group(fitted, shared_cache())["subsets"]
+    rows: Any = chapter7.group(fitted, shared_cache())["subsets"]
     assert [row["runs"] for row in rows] == [[], [1], [2], [1, 2]] and "values" not in rows[0]
     for row, subset in zip(rows, table, strict=True):
         assert row["cells"] == [[cell.tractor_m, cell.implement_m] for cell in subset.cells]
