@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -113,16 +114,7 @@ class RunRow:
 
 def _row(one: StoredRun) -> RunRow | None:
     """None where its files have gone since they were listed."""
-    glances: dict[str, Glance] = {}
-    size, unreadable = 0, list[str]()
-    for path in one.files:
-        try:
-            size += path.stat().st_size
-            glances[path.name] = glance(path)
-        except FileNotFoundError:  # the recorder renames a run, or makes room, at any time
-            continue
-        except OSError as error:  # of one file; the others are told
-            unreadable.append(f"{path.name}: {reason_of(error)}")
+    glances, size, unreadable = _glances(one)
     try:
         sidecar = one.sidecar()
     except (ValueError, OSError) as error:
@@ -131,7 +123,6 @@ def _row(one: StoredRun) -> RunRow | None:
     if not (glances or unreadable):
         return None
     dated = [found for found in glances.values() if found.last_ns]
-    states = Counter(found.state for found in glances.values())
     events: Counter[str] = sum((found.events for found in glances.values()), Counter())
     sensors = next((found.sensors for found in reversed(dated) if found.frames and found.sensors), {})
     first_ns = dated[0].first_ns + dated[-1].utc_minus_ns if dated else one.started_ns
@@ -151,16 +142,35 @@ def _row(one: StoredRun) -> RunRow | None:
         sensor_states=sensors,
         lost=[name for name, state in sensors.items() if state != DeviceState.ALIVE],
         events=dict(events),
-        unfinished=states[FileState.UNFINISHED],
-        damaged=[name for name, found in glances.items() if found.state == FileState.DAMAGED],
-        recording=states[FileState.BEING_WRITTEN] > 0,
-        no_log=[name for name, found in glances.items() if found.state == FileState.NO_LOG],
+        unfinished=len(_named(glances, FileState.UNFINISHED)),
+        damaged=_named(glances, FileState.DAMAGED),
+        recording=bool(_named(glances, FileState.BEING_WRITTEN)),
+        no_log=_named(glances, FileState.NO_LOG),
         unreadable=unreadable,
         copied=sum(name in sidecar.copied for name in glances),
         simulated=any(found.simulated for found in glances.values()),
         keep=sidecar.keep,
         notes=[*dict.fromkeys(found.note for found in dated if found.note), *sidecar.notes],
     )
+
+
+def _glances(one: StoredRun) -> tuple[dict[str, Glance], int, list[str]]:
+    """A look at each file by its name, bytes of all, and why some cannot be read."""
+    glances: dict[str, Glance] = {}
+    size, unreadable = 0, list[str]()
+    for path in one.files:
+        try:
+            size += path.stat().st_size
+            glances[path.name] = glance(path)
+        except FileNotFoundError:  # the recorder renames a run, or makes room, at any time
+            continue
+        except OSError as error:  # of one file; the others are told
+            unreadable.append(f"{path.name}: {reason_of(error)}")
+    return glances, size, unreadable
+
+
+def _named(glances: Mapping[str, Glance], state: FileState) -> list[str]:
+    return [name for name, found in glances.items() if found.state == state]
 
 
 def _cells(row: RunRow) -> list[str]:

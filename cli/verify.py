@@ -47,21 +47,18 @@ def _lines(one: RunSurvey) -> list[str]:
         return one.wrong or [f"{one.files[0].name}: is being written; nothing is in it yet"]
     files = _many(len(one.files), "file")
     lines = [f"{name}: {files}, {size:.1f} MB, {one.duration_s:.1f} s from {_utc(one, one.first_ns)}"]
-    if one.note:
-        lines.append(f"  note: {one.note}")
+    lines += [f"  note: {one.note}"] * bool(one.note)
     lines += [f"  {_name(topic):<18} {_words(one, coverage)}" for topic, coverage in one.coverage.items()]
     lines += [f"  {fault}: {count}" for fault, count in one.faults.items() if fault.reason != STEPPED]
-    if one.backwards:
-        lines.append(f"  the log's time runs back {one.backwards} times")
-    for step_s in one.steps_s:
-        lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
+    lines += [f"  the log's time runs back {one.backwards} times"] * bool(one.backwards)
+    lines += [
+        f"  the computer's clock was set by {s:+.3f} s; the log's own went on evenly" for s in one.steps_s
+    ]
     lines.append(f"  UTC {_utc_source(one)}")
     lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == EventKind.MARK]
     lines += [f"  WRONG: {what}" for what in one.wrong]
-    if one.goes_on_in:
-        lines.append(f"  goes on in {one.goes_on_in}, which was not read")
-    if one.being_written:
-        lines.append("  being written: read as far as it was on the disk")
+    lines += [f"  goes on in {one.goes_on_in}, which was not read"] * bool(one.goes_on_in)
+    lines += ["  being written: read as far as it was on the disk"] * one.being_written
     lines.append("  whole, nothing dropped" if one.good else "  NOT ALL IS THERE")
     return lines
 
