@@ -91,6 +91,38 @@ def check_folder(folder: Path) -> None:
         raise WrongUse(f"{folder}: you may not write there; give another folder, or ask for access")
 
 
+def check_out(out: Path | None, beside: Sequence[str] = (".json",)) -> None:
+    """Before anything is computed. beside: endings of its other files. Raises WrongUse."""
+    if out is None:
+        return
+    if out.suffix.lower() not in REPORT_SUFFIXES:
+        raise WrongUse(f"--out {out}: give a name that ends in .html")
+    for path in (out, *map(out.with_suffix, beside)):
+        if path.exists():
+            raise exists(path)
+    check_folder(out.parent)
+
+
+def exists(path: object) -> WrongUse:
+    """What to say of a report that is there."""
+    return WrongUse(f"{path}: exists; a report is never overwritten, give another name")
+
+
+def as_given(args: argparse.Namespace, *names: str) -> list[str]:
+    """Options as they would be typed again, without those that were not given. names: of options, such as
+    "speed"; "from=log" where the attribute has another name."""
+    words: list[str] = []
+    for name in names:
+        option, _, attribute = name.partition("=")
+        value = getattr(args, attribute or option)
+        if value is True:
+            words.append(f"--{option}")
+            continue
+        for one in value if isinstance(value, list) else [] if value is None or value is False else [value]:
+            words += [f"--{option}", f"{one:g}" if isinstance(one, float) else str(one)]
+    return words
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"tilth{self.prog.removeprefix(command())}: {message}; see {self.prog} --help\n")

@@ -13,7 +13,7 @@ from typing import Any
 import zenoh
 from numpy.random import default_rng
 
-from tilth.cli import WrongUse, duration, say
+from tilth.cli import WrongUse, as_given, duration, say
 from tilth.cli.daemon_order import client_config, no_daemon, of_key
 from tilth.cli.experiment_learned import EDITED, FitOfRuns
 from tilth.cli.experiment_screen import KEYS, line, panel
@@ -325,9 +325,9 @@ def _ended(args: argparse.Namespace, course: Course, prompt: Prompt) -> int:
 
 def _going_on(args: argparse.Namespace, course: Course, prompt: Prompt) -> str:
     """The command that goes on where this one was, with its options, in the same field."""
-    words = [] if args.connect == ENDPOINT else ["--connect", args.connect]
-    words += [] if args.config is None else ["--config", str(args.config)]
-    words += [] if args.config or args.prefix == "tilth" else ["--prefix", args.prefix]
+    words = as_given(args, "connect") if args.connect != ENDPOINT else []
+    words += as_given(args, "config")
+    words += as_given(args, "prefix") if args.prefix != "tilth" and not args.config else []
     words += ["--start-at", str(prompt.at + 1)]
     words += [] if prompt.tries == 1 else ["--try", str(prompt.tries)]
     if args.corner is not None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tilth.analysis.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
+from tilth.analysis.rig_report import LINEAR, SPEEDS, Drive, rig_report
 from tilth.analysis.rig_tables import rig_tables
 from tilth.cli import WrongUse, say, say_unusual
-from tilth.cli.desk_options import between
-from tilth.estimator.models.family import MODELS, model_named
+from tilth.cli.desk_options import add_speed_and_model, between
+from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import SENSOR_SETS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.parameters import Rig, rig_of
@@ -31,19 +31,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     drive = Drive()
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
-    parser.add_argument(
-        "--model",
-        action="append",
-        choices=[model.name for model in MODELS],
-        help="may be given several times (kinematic, dynamic and relaxation)",
-    )
-    parser.add_argument(
-        "--speed",
-        action="append",
-        type=between(*SPEED_RANGE, "m/s"),
-        metavar="M/S",
-        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
-    )
+    add_speed_and_model(parser, SPEEDS, "kinematic, dynamic and relaxation")
     parser.add_argument(
         "--manoeuvre",
         choices=[row.name for row in MANOEUVRES],

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from tilth.analysis.report.given import ALL, MOST_FITTED, given_segments
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
-from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, at_least, check_folder, say
+from tilth.cli import WrongUse, add_bus_names, as_given, at_least, check_folder, check_out, exists, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import Steps, bars
@@ -76,15 +76,9 @@ def _check_outputs(args: argparse.Namespace) -> None:
     """Before a long replay. Raises WrongUse."""
     if args.segment and args.mark:
         raise WrongUse("--segment names all that is fitted; leave out --mark beside it")
-    out: Path = args.out
-    if out.suffix.lower() not in REPORT_SUFFIXES:
-        raise WrongUse(f"--out {out}: give a name that ends in .html")
-    names = (".json", ".pdf") if args.pdf else (".json",)
-    for path in (out, *map(out.with_suffix, names)):
-        if path.exists():
-            raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
-    for folder in (out.parent, *([args.figures.parent] if args.figures else [])):
-        check_folder(folder)
+    check_out(args.out, (".json", ".pdf") if args.pdf else (".json",))
+    if args.figures is not None:
+        check_folder(args.figures.parent)
     if args.figures is not None and _holds_something(args.figures):
         raise WrongUse(f"--figures {args.figures}: give a new or an empty folder")
     if any(times.log > len(args.logs) for times in args.segment):
@@ -146,9 +140,7 @@ def _write(
     try:
         written = write(report, content, args.out, with_pdf=args.pdf, figures=args.figures)
     except FileExistsError as error:
-        raise WrongUse(
-            f"{error.filename}: exists; a report is never overwritten, give another name"
-        ) from None
+        raise exists(error.filename) from None
     for one in facts:
         for text in warnings_of(one):
             if text != SIMULATED:  # said when the logs were opened
@@ -163,14 +155,9 @@ def _write(
 
 def _words(args: argparse.Namespace) -> list[str]:
     """The command line, as it would be given again."""
-    words = [*map(str, args.logs), "--out", str(args.out)]
-    words += ["--pdf"] if args.pdf else []
-    for option in ("figures", "machine"):
-        if getattr(args, option) is not None:
-            words += [f"--{option}", str(getattr(args, option))]
+    words = [*map(str, args.logs), *as_given(args, "out", "pdf", "figures", "machine")]
     if args.fit is not None:
         words += ["--fit", "all" if args.fit == ALL else str(args.fit)]
     for log, start_s, end_s in args.segment:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
-    words += [word for name in args.mark for word in ("--mark", name)]
-    return words + [word for name in args.bus for word in ("--bus", name)]
+    return words + as_given(args, "mark", "bus")

@@ -22,13 +22,12 @@ from tilth.analysis.sensitivity.local_answer import (
 )
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
-from tilth.cli import WrongUse, say, say_unusual
+from tilth.cli import WrongUse, as_given, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
     after,
     between,
-    check_out,
     made_by,
     names,
     write_report,
@@ -166,19 +165,14 @@ def _write(
 
 def _words(args: argparse.Namespace) -> list[str]:
     """The command line, as it would be given again."""
-    words = [str(args.machine)]
-    for option in ("speed", "model", "outputs", "parameters", "seconds"):
-        for value in getattr(args, option) or []:
-            words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
+    words = [str(args.machine), *as_given(args, "speed", "model", "outputs", "parameters", "seconds")]
     if args.over_all:
-        words += ["--global", *(["--points", str(args.points)] if args.points else [])]
-        words += [word for text in args.box for word in ("--box", text)]
-        words += ["--from", str(args.log)] if args.log else []
+        words += ["--global", *as_given(args, "points", "box", "from=log")]
         words += [] if args.indices else ["--no-indices"]
-        words += ["--dask", args.dask] if args.dask else []
+        words += as_given(args, "dask")
         words += ["--dask-tls", *args.dask_tls] if args.dask_tls else []
-    words += ["--input", args.input] if args.input != STEP else []
-    return [*words, "--step", args.step, "--out", str(args.out)]
+    words += as_given(args, "input") if args.input != STEP else []
+    return words + as_given(args, "step", "out")
 
 
 def _show(answer: SensitivityAnswer) -> None:

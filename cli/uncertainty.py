@@ -18,14 +18,13 @@ from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, 
 from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to, uncertainty_report
-from tilth.cli import WrongUse, at_least, say, say_unusual
+from tilth.cli import WrongUse, as_given, at_least, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
     after,
     between,
     check_name,
-    check_out,
     made_by,
     names,
     share,
@@ -216,16 +215,10 @@ def _question(args: argparse.Namespace) -> UncertaintyQuestion:
 
 def _words(args: argparse.Namespace) -> list[str]:
     """The command line, as it would be given again."""
-    words = [str(args.machine)]
-    if args.log is not None:
-        words += ["--from", str(args.log)]
-    for option in ("sd", "correlation", "want", "speed", "model", "outputs"):
-        for value in getattr(args, option) or []:
-            words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
-    words += ["--input", args.input] if args.input != STEP else []
-    if args.seconds is not None:
-        words += ["--seconds", f"{args.seconds:g}"]
-    return [*words, "--draws", str(args.draws), "--out", str(args.out)]
+    options = "from=log", "sd", "correlation", "want", "speed", "model", "outputs"
+    words = [str(args.machine), *as_given(args, *options)]
+    words += as_given(args, "input") if args.input != STEP else []
+    return words + as_given(args, "seconds", "draws", "out")
 
 
 def _show(name: str, answer: UncertaintyAnswer) -> None:
