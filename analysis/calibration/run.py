@@ -17,7 +17,6 @@ from tilth.estimator.calibration.calibrate import (
     Calibration,
     CannotCalibrate,
     calibrate,
-    look,
     tractor_motion,
 )
 from tilth.estimator.calibration.calibrated_file import calibrated_machine
@@ -149,7 +148,7 @@ def calibrate_logs(
     try:
         found = calibrate(described, heard.measurements, later)
     except CannotCalibrate as error:
-        better = _reread(machine, heard, error)
+        better = reread(machine, heard, error)
         if better is None:
             raise CannotCalibrate(" ".join([f"{error}.", *_notes(heard)]), error.faults) from None
         described, fault, others = better
@@ -193,23 +192,7 @@ def steering(heard: LogHeard, told: Machine, changes: Changes) -> SteeringRespon
     return respond(orders, t, wheel, told.wheel_angle.delay)
 
 
-def look_at_logs(
-    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say
-) -> list[RigFault]:
-    """What is structurally wrong, without the numbers. Raises as `calibrate_logs`."""
-    heard = read(paths, machine, buses, say, lambda done, of: None)
-    try:
-        return look(machine, heard.measurements)
-    except CannotCalibrate as error:
-        better = _reread(machine, heard, error)
-        if better is None:
-            raise
-        described, fault, _ = better
-        again = read(paths, described, buses, lambda text: None, lambda done, of: None)
-        return [fault, *look(described, again.measurements)]
-
-
-def _reread(
+def reread(
     machine: Machine, heard: LogHeard, error: CannotCalibrate
 ) -> tuple[Machine, RigFault, list[str]] | None:
     """The machine file with the message or word that is the wheel angle, what was wrong, and runners-up.

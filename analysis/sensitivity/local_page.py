@@ -115,24 +115,15 @@ def _tables(entries: Sequence[LocalEntry], model: str) -> ReportSection:
         others = [name for name in entry["outputs"] if name not in SIX]
         if others:
             parts.append(_table(entry, model, "others", others, idle))
-    told = {output.name: output for output in OUTPUTS}
-    shown = entries[0]["outputs"]
-    parts.append(
-        ReportTable(
-            f"{model}-outputs",
-            "What the outputs are.",
-            ("output", "meaning"),
-            tuple((ReportCell(name), ReportCell(told[name].meaning)) for name in shown),
+    told = {output.name: output.meaning for output in OUTPUTS}
+    for what, names, meanings in (
+        ("output", entries[0]["outputs"], told),
+        ("parameter", list(entries[0]["local"]), MEANINGS),
+    ):
+        rows = tuple((ReportCell(name), ReportCell(meanings[name])) for name in names)
+        parts.append(
+            ReportTable(f"{model}-{what}s", f"What the {what}s are.", (what, "meaning"), rows),
         )
-    )
-    parts.append(
-        ReportTable(
-            f"{model}-parameters",
-            "What the parameters are.",
-            ("parameter", "meaning"),
-            tuple((ReportCell(name), ReportCell(MEANINGS[name])) for name in entries[0]["local"]),
-        )
-    )
     return ReportSection(f"{model}-tables", "By output and parameter", tuple(parts))
 
 
