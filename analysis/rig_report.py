@@ -6,7 +6,7 @@ not exist (the damping of an integrator, a parameter that the data leave open) i
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, final
 
 import numpy as np
 
@@ -43,6 +43,127 @@ class Drive(NamedTuple):
         return self.manoeuvre.wheel_angle(time, self.amplitude, np.random.default_rng(SEED))
 
 
+class ParameterRow(TypedDict):
+    value: float | None
+    unit: str
+
+
+class Understeer(TypedDict):
+    """wheel_angle_ratio: by speed_key, over that of rolling without slip."""
+
+    gradient_rad_s2_per_m: float
+    gradient_deg_per_g: float
+    characteristic_speed_m_per_s: float | None
+    wheel_angle_ratio: dict[str, float]
+
+
+class SensorRow(TypedDict):
+    output: str
+    sd: float
+    every_s: float
+
+
+class DriveFacts(TypedDict):
+    manoeuvre: str
+    amplitude_deg: float
+    seconds: float
+    sensors: str
+    sensor_rows: list[SensorRow]
+    disturbances: dict[str, float]
+
+
+class Poles(TypedDict):
+    """`dominant` is the one with the largest real part; what they say of settling is of it."""
+
+    eigenvalues: list[list[float]]
+    damping: list[float | None]
+    dominant: list[float] | None
+    dominant_damping: float | None
+    settling_time_s: float | None
+    settling_distance_m: float | None
+    stable: bool
+
+
+class SteadyTurn(TypedDict):
+    """Per rad of wheel angle."""
+
+    lateral_velocity: float
+    yaw_rate: float
+    articulation: float
+    yaw_rate_dB: float
+
+
+class Response(TypedDict):
+    """Of one output at OMEGA."""
+
+    gain_dB: list[float]
+    phase_deg: list[float]
+
+
+class FrequencyResponse(TypedDict):
+    """Of both yaw rates from the wheel angle, at OMEGA. Phases from −180° to 180°."""
+
+    omega_rad_per_s: list[float]
+    r_t: Response
+    r_i: Response
+
+
+class Rank(TypedDict):
+    rank: int
+    of: int
+    condition: float | None
+
+
+class Observability(Rank):
+    outputs: list[str]
+
+
+@final
+class NoRegulator(TypedDict):
+    reason: str
+
+
+@final
+class Regulator(Poles):
+    """Of the closed loop. gain: by state."""
+
+    input: str
+    gain: dict[str, float]
+
+
+class Bound(Rank):
+    """Least standard deviations, as shares of the values: sd with all else known, sd_zero_unknown where the
+    zero of the wheel-angle sensor is to be found as well."""
+
+    sd: dict[str, float | None]
+    sd_zero_unknown: dict[str, float | None]
+
+
+class AtSpeed(Poles):
+    """One model at one speed. lqr: by name of ACTUATORS."""
+
+    states: list[str]
+    inputs: list[str]
+    a: list[list[float]]
+    b: list[list[float]]
+    steady_turn_per_rad: SteadyTurn | None
+    frequency_response: FrequencyResponse
+    controllability: Rank
+    observability: Observability
+    lqr: dict[str, Regulator | NoRegulator]
+    bound: Bound | None
+
+
+class RigReport(TypedDict):
+    """models: by name and speed_key; its eigenvalues are sorted by real, then imaginary part."""
+
+    parameters: dict[str, ParameterRow]
+    static_loads_N: dict[str, float]
+    understeer: Understeer
+    drive: DriveFacts
+    models: dict[str, dict[str, AtSpeed]]
+
+
 def speed_key(speed: float) -> str:
     """Plain decimal text of a speed within SPEED_RANGE: 4.5 and 1.0."""
     return repr(float(speed))
@@ -50,11 +171,8 @@ def speed_key(speed: float) -> str:
 
 def rig_report(
     rig: Rig, models: Sequence[Model] = LINEAR, speeds: Sequence[float] = SPEEDS, drive: Drive | None = None
-) -> dict[str, Any]:
-    """The whole report. speeds: m/s, within SPEED_RANGE.
-
-    `models.<name>.<speed>.eigenvalues` are sorted by real, then imaginary part.
-    """
+) -> RigReport:
+    """The whole report. speeds: m/s, within SPEED_RANGE."""
     drive = drive or Drive()
     return {
         "parameters": {
@@ -81,8 +199,8 @@ def rig_report(
     }
 
 
-def understeer(rig: Rig, speeds: Sequence[float]) -> dict[str, Any]:
-    """Gradient, characteristic speed and, for each speed, wheel angle over that of rolling without slip."""
+def understeer(rig: Rig, speeds: Sequence[float]) -> Understeer:
+    """Gradient, characteristic speed, and what each speed costs in wheel angle."""
     gradient = linear.understeer_gradient(rig)
     return {
         "gradient_rad_s2_per_m": gradient,
@@ -92,7 +210,7 @@ def understeer(rig: Rig, speeds: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def at_speed(model: Model, rig: Rig, speed: float, drive: Drive) -> dict[str, Any]:
+def at_speed(model: Model, rig: Rig, speed: float, drive: Drive) -> AtSpeed:
     """One model at one speed."""
     sys = system(model, rig, speed)
     measured = system(model, rig, speed, outputs=MEASURED)
@@ -106,14 +224,14 @@ def at_speed(model: Model, rig: Rig, speed: float, drive: Drive) -> dict[str, An
         "steady_turn_per_rad": steady_turn(model, rig, speed),
         "frequency_response": frequency_response(sys),
         "controllability": _rank(linear.controllability(sys.a, steer), sys),
-        "observability": {"outputs": list(MEASURED)} | _rank(linear.observability(sys.a, measured.c), sys),
+        "observability": {"outputs": list(MEASURED), **_rank(linear.observability(sys.a, measured.c), sys)},
         "lqr": {name: lqr(model, rig, speed, actuator) for name, actuator in ACTUATORS.items()},
         "bound": bound(model, rig, speed, drive),
     }
 
 
-def poles(eigenvalues: Complex, speed: float) -> dict[str, Any]:
-    """Eigenvalues and what they say of settling; `dominant` is the one with the largest real part."""
+def poles(eigenvalues: Complex, speed: float) -> Poles:
+    """Eigenvalues and what they say of settling."""
     try:
         slowest: complex | None = linear.dominant(eigenvalues)
     except ValueError:
@@ -131,8 +249,8 @@ def poles(eigenvalues: Complex, speed: float) -> dict[str, Any]:
     }
 
 
-def steady_turn(model: Model, rig: Rig, speed: float) -> dict[str, Any] | None:
-    """Lateral velocity, yaw rate and articulation per rad of wheel angle; None where there is no such turn.
+def steady_turn(model: Model, rig: Rig, speed: float) -> SteadyTurn | None:
+    """None where there is no such turn.
 
     Headings grow without end in a turn: only their difference is kept as a state.
     """
@@ -157,18 +275,15 @@ def steady_turn(model: Model, rig: Rig, speed: float) -> dict[str, Any] | None:
     }
 
 
-def frequency_response(sys: System) -> dict[str, Any]:
-    """Of both yaw rates from the wheel angle, at OMEGA. Phases from −180° to 180°."""
+def frequency_response(sys: System) -> FrequencyResponse:
+    """By the names of its outputs."""
     response = linear.frequency_response(sys, np.array(OMEGA))[:, :, 0]
     gain, phase = linear.decibel(response), np.degrees(np.angle(response))
-    rows = {
-        name: {"gain_dB": gain[:, k].tolist(), "phase_deg": phase[:, k].tolist()}
-        for k, name in enumerate(sys.outputs)
-    }
-    return {"omega_rad_per_s": list(OMEGA)} | rows
+    of_t, of_i = (Response(gain_dB=gain[:, k].tolist(), phase_deg=phase[:, k].tolist()) for k in (0, 1))
+    return {"omega_rad_per_s": list(OMEGA), "r_t": of_t, "r_i": of_i}
 
 
-def lqr(model: Model, rig: Rig, speed: float, actuator: Actuator | None) -> dict[str, Any]:
+def lqr(model: Model, rig: Rig, speed: float, actuator: Actuator | None) -> Regulator | NoRegulator:
     """The dissertation's regulator, Q = 1 on every state and R = 800; `reason` where there is none."""
     sys = system(model, rig, speed, actuator=actuator)
     try:
@@ -176,14 +291,11 @@ def lqr(model: Model, rig: Rig, speed: float, actuator: Actuator | None) -> dict
     except ValueError as error:
         return {"reason": str(error)}
     gain = dict(zip(found.states, found.gain.tolist(), strict=True))
-    return {"input": sys.inputs[0], "gain": gain} | poles(found.poles, speed)
+    return {"input": sys.inputs[0], "gain": gain, **poles(found.poles, speed)}
 
 
-def bound(model: Model, rig: Rig, speed: float, drive: Drive) -> dict[str, Any] | None:
-    """Least standard deviations, as shares of the values, that the drive can give; None without parameters.
-
-    `sd` with all else known, `sd_zero_unknown` with the zero of the wheel-angle sensor to be found as well.
-    """
+def bound(model: Model, rig: Rig, speed: float, drive: Drive) -> Bound | None:
+    """What the drive can give; None without parameters."""
     names = model.parameters
     if not names:
         return None
@@ -202,11 +314,11 @@ def bound(model: Model, rig: Rig, speed: float, drive: Drive) -> dict[str, Any] 
     }
 
 
-def _by_name(names: Sequence[str], values: Array) -> dict[str, Any]:
+def _by_name(names: Sequence[str], values: Array) -> dict[str, float | None]:
     return {name: _plain(float(value)) for name, value in zip(names, values, strict=False)}
 
 
-def _rank(found: tuple[int, float], sys: System) -> dict[str, Any]:
+def _rank(found: tuple[int, float], sys: System) -> Rank:
     rank, condition = found
     return {"rank": rank, "of": len(sys.states), "condition": _plain(condition)}
 

@@ -2,21 +2,20 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 from rich import box
 from rich.console import RenderableType
 from rich.table import Table
 
+from tilth.analysis.rig_report import AtSpeed, DriveFacts, RigReport, Understeer
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import WITHIN, half_width
 
 TABLE_OMEGA = (0.2, 1.0, 2.0, 5.0, 10.0)  # rad/s, of those in the report
-Report = dict[str, Any]
 Row = tuple[str, ...]
 
 
-def rig_tables(name: str, report: Report) -> Iterator[RenderableType]:
+def rig_tables(name: str, report: RigReport) -> Iterator[RenderableType]:
     """What an engineer asks of a rig before driving it. report: as rig_report.rig_report makes it."""
     yield rig_in_words(name, report) + "\n"
     for title, headings, row in _TABLES:
@@ -28,13 +27,15 @@ def rig_tables(name: str, report: Report) -> Iterator[RenderableType]:
                 yield f"{model} at {speed} m/s: {design['reason']}"
 
 
-def _cells(report: Report) -> Iterator[tuple[str, str, Report]]:
+def _cells(report: RigReport) -> Iterator[tuple[str, str, AtSpeed]]:
     for model, speeds in report["models"].items():
         for speed, at in speeds.items():
             yield model, speed, at
 
 
-def _table(title: str, headings: Row, report: Report, row: Callable[[Report], Row | None]) -> RenderableType:
+def _table(
+    title: str, headings: Row, report: RigReport, row: Callable[[AtSpeed], Row | None]
+) -> RenderableType:
     table = Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False,
         collapse_padding=True,
@@ -51,9 +52,9 @@ def _table(title: str, headings: Row, report: Report, row: Callable[[Report], Ro
     return table
 
 
-def rig_in_words(name: str, report: Report) -> str:
+def rig_in_words(name: str, report: RigReport) -> str:
     """Masses, lengths, loads, tyres and how it understeers."""
-    parameters = {key: row["value"] for key, row in report["parameters"].items()}
+    parameters = {key: row["value"] or 0.0 for key, row in report["parameters"].items()}
     loads = ", ".join(f"{axle} {load / 1000:.1f}" for axle, load in report["static_loads_N"].items())
     stiffness = ", ".join(f"{parameters[key] / 1000:.0f}" for key in PARAMETERS[:3])
     lengths = ", ".join(f"{parameters[key]:.2f}" for key in PARAMETERS[3:])
@@ -69,7 +70,7 @@ def rig_in_words(name: str, report: Report) -> str:
     )
 
 
-def _understeer_in_words(understeer: Report) -> str:
+def _understeer_in_words(understeer: Understeer) -> str:
     gradient = f"{understeer['gradient_deg_per_g']:+.2f}°/g"
     limit = understeer["characteristic_speed_m_per_s"]
     if limit is None:
@@ -89,7 +90,7 @@ def _understeer_in_words(understeer: Report) -> str:
     )
 
 
-def _steady(at: Report) -> Row:
+def _steady(at: AtSpeed) -> Row:
     turn = at["steady_turn_per_rad"]
     if turn is None:
         return ("–",) * 4
@@ -102,7 +103,7 @@ def _steady(at: Report) -> Row:
     )
 
 
-def _open_loop(at: Report) -> Row:
+def _open_loop(at: AtSpeed) -> Row:
     return (
         _pole(at["dominant"]),
         _number(at["settling_time_s"], 1),
@@ -113,7 +114,7 @@ def _open_loop(at: Report) -> Row:
     )
 
 
-def _least_damped(at: Report) -> Row:
+def _least_damped(at: AtSpeed) -> Row:
     """Frequency and damping of the pair that swings longest in its own periods."""
     pairs = [
         (ratio, math.hypot(*pole))
@@ -126,21 +127,21 @@ def _least_damped(at: Report) -> Row:
     return f"{omega:.2f}", f"{ratio:.2f}"
 
 
-def _frequency(at: Report) -> Row:
+def _frequency(at: AtSpeed) -> Row:
     response = at["frequency_response"]
     columns = [response["omega_rad_per_s"].index(omega) for omega in TABLE_OMEGA]
     yaw = response["r_t"]
     return tuple(f"{yaw['gain_dB'][k]:.1f} {round(yaw['phase_deg'][k]):4d}°" for k in columns)
 
 
-def _closed_loop(at: Report) -> Row:
+def _closed_loop(at: AtSpeed) -> Row:
     cells: list[str] = []
     for design in at["lqr"].values():
         if "reason" in design:
             cells += ["none", "–", "–", "–"]
         else:
             cells += [
-                _number(design["dominant"][0], 2),
+                _number(slowest[0] if (slowest := design["dominant"]) else None, 2),
                 _number(design["dominant_damping"], 2),
                 _number(design["settling_time_s"], 1),
                 _number(design["settling_distance_m"], 0),
@@ -148,7 +149,7 @@ def _closed_loop(at: Report) -> Row:
     return tuple(cells)
 
 
-_TABLES: tuple[tuple[str, Row, Callable[[Report], Row | None]], ...] = (
+_TABLES: tuple[tuple[str, Row, Callable[[AtSpeed], Row | None]], ...] = (
     (
         "Steady turning, for each degree of wheel angle",
         ("yaw rate\n°/s", "yaw rate\ndB (1/s)", "lateral velocity\nm/s", "articulation\n°"),
@@ -175,7 +176,7 @@ _TABLES: tuple[tuple[str, Row, Callable[[Report], Row | None]], ...] = (
 )  # fmt: skip
 
 
-def _bounds(report: Report) -> RenderableType:
+def _bounds(report: RigReport) -> RenderableType:
     drive = report["drive"]
     if all(at["bound"] is None for _, _, at in _cells(report)):
         return "The kinematic model has no tyres: no manoeuvre tells anything about them through it."
@@ -187,7 +188,7 @@ def _bounds(report: Report) -> RenderableType:
     return _table(title, (*PARAMETERS, "rank"), report, _bound)
 
 
-def _sensors(drive: Report) -> str:
+def _sensors(drive: DriveFacts) -> str:
     """Such as: y_t ±0.035 m (95 %) at 5 Hz."""
     words = []
     for row in drive["sensor_rows"]:
@@ -200,7 +201,7 @@ def _sensors(drive: Report) -> str:
 _UNIT = {"r_t": "°/s", "r_i": "°/s", "v": "m/s", "v_i": "m/s"}
 
 
-def _bound(at: Report) -> Row | None:
+def _bound(at: AtSpeed) -> Row | None:
     found = at["bound"]
     if found is None:
         return None

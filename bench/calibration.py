@@ -25,7 +25,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.analysis.calibration.run import look_at_logs
+from tilth.analysis.calibration.reading import read
+from tilth.analysis.calibration.run import reread
 from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
 from tilth.estimator.calibration.calibrated_file import calibrated_machine
 from tilth.estimator.calibration.changes import Changes, Linkage, applied, heard_after, linkage_of
@@ -319,13 +320,27 @@ def faults(plants: Sequence[str], logs: int, count: int, kept: KeptLines) -> Non
         print(f"{kind}: {hits} of {of}; beside it: {other}", flush=True)
 
 
+def _found_in_log(path: Path, machine: Machine) -> list[str]:
+    """What is structurally wrong, as `calibrate_logs` goes about it, without the numbers."""
+    heard = read([path], machine, {}, lambda said: None, lambda done, of: None)
+    try:
+        return [fault.kind for fault in look(machine, heard.measurements)]
+    except CannotCalibrate as error:
+        better = reread(machine, heard, error)
+        if better is None:
+            raise
+        described, fault, _ = better
+        again = read([path], described, {}, lambda said: None, lambda done, of: None)
+        return [fault.kind, *(one.kind for one in look(described, again.measurements))]
+
+
 def _kinds(kind: str, k: int, right: Machine, path: Path, measurements: list[Measurement]) -> Iterator[str]:
     bad = structural(kind, np.random.default_rng([99, k, STRUCTURE.index(kind)]))
     wrong = applied(right, bad)
     if kind == "byte_order":
         wheel = right.wheel_angle.model_copy(update={"byte_order": "little"})
         machine = right.model_copy(update={"wheel_angle": wheel})
-        yield from (fault.kind for fault in look_at_logs([path], machine, {}, lambda said: None))
+        yield from _found_in_log(path, machine)
         return
     if kind == "roll_corrected":
         one = k % 4

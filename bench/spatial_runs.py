@@ -46,7 +46,7 @@ TURN_GAP_S: Final = 30.0  # from turn to turn at least; more than a reversal tak
 
 def follow(
     to: Path, name: str, scale: float, seed: int, held_out: bool = False, bounded: bool = False
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Plain data of one run, for a line of JSON; the log is made if it is not there. scale: of its seconds,
     for a try. bounded: with the least sds that are possible, which takes a run of the filter for each fit."""
     row = ROW[name] if scale == 1.0 else replace(ROW[name], seconds=ROW[name].seconds * scale)
@@ -117,7 +117,7 @@ class Heard:
         elif isinstance(value, Event):
             self.events.append((self.run.seconds_of(value.t_ns), value.kind, event_sentence(value)))
 
-    def result(self, row: LogRow) -> dict[str, Any]:
+    def result(self, row: LogRow) -> dict[str, object]:
         after = np.zeros(6)
         after[:3] = math.log(DROP) if row.informed_s else 0.0
         methods = {name: self._method(name, self.logs + after, row) for name in self.series}
@@ -127,7 +127,7 @@ class Heard:
             "wheel_s": informative_times(self.run, row.informed_s) if row.informed_s else [],
         }  # fmt: skip
 
-    def _method(self, name: str, logs: Array, row: LogRow) -> dict[str, Any]:
+    def _method(self, name: str, logs: Array, row: LogRow) -> dict[str, object]:
         series = np.array(self.series[name])
         given = np.isfinite(series[:, 1:7])
         first = [float(series[np.argmax(g), 0]) if g.any() else math.nan for g in given.T]

@@ -240,7 +240,7 @@ def done(
     keep: Path | None, processes: int, work: Callable[..., Any], jobs: list[tuple[Any, ...]]
 ) -> list[Any]:
     """The results of all jobs: those that are kept, and the others, which are kept too."""
-    kept: dict[str, Any] = {}
+    kept: dict[str, object] = {}
     if keep is not None and keep.exists():
         kept = dict(json.loads(line) for line in keep.read_text(encoding="utf-8").splitlines())
     names = {json.dumps([work.__name__, *job]): job for job in jobs}

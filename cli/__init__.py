@@ -23,6 +23,7 @@ from tilth.logger.child import words_of
 from tilth.schemas.invocation import command, started_as
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import unusual
+from tilth.schemas.readable import reason_of
 
 # One row per command: module tilth.cli.<name> has `add(subparsers)`, which adds the parser of that name, and
 # `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
@@ -102,6 +103,38 @@ def check_folder(folder: Path) -> None:
         raise WrongUse(f"{folder}: you may not write there; give another folder, or ask for access")
 
 
+def check_out(out: Path | None, beside: Sequence[str] = (".json",)) -> None:
+    """Before anything is computed. beside: endings of its other files. Raises WrongUse."""
+    if out is None:
+        return
+    if out.suffix.lower() not in REPORT_SUFFIXES:
+        raise WrongUse(f"--out {out}: give a name that ends in .html")
+    for path in (out, *map(out.with_suffix, beside)):
+        if path.exists():
+            raise exists(path)
+    check_folder(out.parent)
+
+
+def exists(path: object) -> WrongUse:
+    """What to say of a report that is there."""
+    return WrongUse(f"{path}: exists; a report is never overwritten, give another name")
+
+
+def as_given(args: argparse.Namespace, *names: str) -> list[str]:
+    """Options as they would be typed again, without those that were not given. names: of options, such as
+    "speed"; "from=log" where the attribute has another name."""
+    words: list[str] = []
+    for name in names:
+        option, _, attribute = name.partition("=")
+        value = getattr(args, attribute or option)
+        if value is True:
+            words.append(f"--{option}")
+            continue
+        for one in value if isinstance(value, list) else [] if value is None or value is False else [value]:
+            words += [f"--{option}", f"{one:g}" if isinstance(one, float) else str(one)]
+    return words
+
+
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"tilth{self.prog.removeprefix(command())}: {message}; see {self.prog} --help\n")
@@ -124,15 +157,42 @@ def add_bus_names(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def saying(command: str) -> Callable[[str], None]:
-    """What a command says beside its answer: to stderr, with its name."""
-    return lambda text: print(f"tilth {command}: {text}", file=sys.stderr, flush=True)
+def buses_of(args: argparse.Namespace, machine: Machine | None) -> dict[str, str]:
+    """{name in the logs: name in the machine file} of --bus. Raises WrongUse."""
+    from tilth.replay.readers.rig import bus_names  # with all readers of logs
+
+    try:
+        return bus_names(args.bus, machine)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
 
 
-def say_unusual(command: str, machine: Machine) -> None:
-    """What is rare in a machine file, to stderr."""
+def at_least(low: int, what: str = "whole number") -> Callable[[str], int]:
+    """A type for argparse: such a number from low up."""
+
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < low:
+            raise argparse.ArgumentTypeError(f"{text}: give a {what}, from {low} up")
+        return int(text)
+
+    return number
+
+
+def add_processes(parser: argparse.ArgumentParser, option: str) -> None:
+    """The option of how many there are to be."""
+    processes = at_least(1, "number of processes")
+    parser.add_argument(option, type=processes, metavar="N", help="processes (as many as there are cores)")
+
+
+def say(of: str, text: str) -> None:
+    """To stderr, after the name of a command."""
+    print(f"tilth {of}: {text}", file=sys.stderr, flush=True)
+
+
+def say_unusual(of: str, machine: Machine) -> None:
+    """What is rare in a machine file."""
     for text in unusual(machine):
-        saying(command)(f"machine file: {text}")
+        say(of, f"machine file: {text}")
 
 
 def _started(program: str, environment: Mapping[str, str]) -> list[str]:
@@ -171,33 +231,40 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             subparsers.add_parser(name, help=summary)
     args = parser.parse_args(words)
-    status, say = 0, saying(args.command)
     try:
-        status = importlib.import_module(f"tilth.cli.{args.command}").run(args)
+        status: int = importlib.import_module(f"tilth.cli.{args.command}").run(args)
         sys.stdout.flush()
-    except (MachineError, WrongUse) as error:
-        say(str(error))
-        return 2
-    except CommandFailed as error:
-        say(str(error))
-        return error.status
-    except PermissionError as error:
-        refusal = f"{error.filename}: you may not; ask for access, or do it as who may (sudo -u tilth)"
-        say(refusal)
-        return 2
-    except KeyboardInterrupt:
-        say("stopped")
-        return 1
-    except BrokenExecutor:
-        killed = "one of its processes was killed, most likely since memory ran out"
-        say(f"{killed}; give fewer logs, or use another computer")
-        return 1
     except BrokenPipeError:  # `tilth decode … | head`: the reader has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:  # `tilth fit --json >FILE` on a full disk
-        place = error.filename or "standard output"
-        say(f"{place}: {(error.strerror or str(error)).lower()}")
-        with suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        _drop_output()
+        return 0
+    except (MachineError, WrongUse, CommandFailed, KeyboardInterrupt, BrokenExecutor, OSError) as error:
+        text, status = _in_words(error)
+        say(args.command, text)
+        if isinstance(error, OSError) and not isinstance(error, PermissionError):
+            with suppress(OSError):
+                _drop_output()
     return status
+
+
+def _drop_output() -> None:
+    """What has not been written yet goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _in_words(error: BaseException) -> tuple[str, int]:
+    """How a command ended, and its exit status."""
+    match error:
+        case CommandFailed():
+            return str(error), error.status
+        case MachineError() | WrongUse():
+            return str(error), 2
+        case PermissionError():
+            who = "you may not; ask for access, or do it as who may (sudo -u tilth)"
+            return f"{error.filename}: {who}", 2
+        case OSError():  # `tilth fit --json >FILE` on a full disk
+            return f"{error.filename or 'standard output'}: {reason_of(error)}", 1
+        case BrokenExecutor():
+            killed = "one of its processes was killed, most likely since memory ran out"
+            return f"{killed}; give fewer logs, or use another computer", 1
+        case _:
+            return "stopped", 1

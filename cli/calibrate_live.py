@@ -5,12 +5,13 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import zenoh
 
-from tilth.cli import WrongUse, saying
+from tilth.cli import WrongUse, as_given, say
 from tilth.cli.calibrate_computing import BackgroundEstimates
 from tilth.cli.calibrate_screen import KEYS, line, panel, without_seconds
 from tilth.cli.daemon_order import client_config, daemon_of, no_daemon, of_key
@@ -29,7 +30,7 @@ from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
-_say = saying("calibrate")
+_say = partial(say, "calibrate")
 
 TURN_S: Final = 0.5
 READING_S: Final = 0.4  # longest time of a turn that goes into reading
@@ -200,7 +201,7 @@ def _logs(
 
 
 def _estimates(args: argparse.Namespace, stack: ExitStack) -> BackgroundEstimates:
-    found = BackgroundEstimates([*_written(args, "machine"), *_buses(args)])
+    found = BackgroundEstimates(as_given(args, "machine", "bus"))
     stack.callback(found.close)
     return found
 
@@ -249,22 +250,12 @@ def _first_log(wires: CalibrationWires) -> Path:
 
 
 def _say_how_to_go_on(args: argparse.Namespace, logs: list[Path]) -> None:
-    desk = [*_written(args, "machine", "out", "report"), *_buses(args), *(["--yes"] if args.yes else [])]
-    options = [*desk, *_written(args, "config")]
+    desk = as_given(args, "machine", "out", "report", "bus", "yes")
+    options = desk + as_given(args, "config")
     if args.config is None:
-        options += ["--connect", args.connect] if args.connect != ENDPOINT else []
-        options += ["--prefix", args.prefix] if args.prefix != "tilth" else []
+        options += as_given(args, "connect") if args.connect != ENDPOINT else []
+        options += as_given(args, "prefix") if args.prefix != "tilth" else []
     given = [str(path) for path in args.logs]
     _say(f"go on: {command('calibrate', *given, '--live', *options)}")
     if logs:
         _say(f"or compute with what there is: {command('calibrate', *map(str, logs), *desk)}")
-
-
-def _written(args: argparse.Namespace, *names: str) -> list[str]:
-    """Options as they were given."""
-    given = [(name, getattr(args, name)) for name in names]
-    return [word for name, value in given if value is not None for word in (f"--{name}", str(value))]
-
-
-def _buses(args: argparse.Namespace) -> list[str]:
-    return [word for pair in args.bus for word in ("--bus", pair)]

@@ -5,6 +5,7 @@ import json
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -14,7 +15,7 @@ from tilth.analysis.calibration.machine_text import unfilled
 from tilth.analysis.calibration.page import report_of
 from tilth.analysis.calibration.run import Calibrated, calibrate_logs
 from tilth.analysis.report.page import page
-from tilth.cli import WrongUse, saying
+from tilth.cli import WrongUse, buses_of, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import stages
 from tilth.estimator.calibration import residuals
@@ -22,11 +23,12 @@ from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.rig import bus_names, machine_in
+from tilth.replay.readers.rig import machine_in
 from tilth.schemas.machine import Machine, MachineError
-from tilth.schemas.readable import readable
+from tilth.schemas.readable import readable, reason_of
 
-_say = saying("calibrate")
+_say = partial(say, "calibrate")
+
 
 WIDTH = 120  # of what goes into a file
 
@@ -34,7 +36,7 @@ WIDTH = 120  # of what goes into a file
 def run_logs(args: argparse.Namespace) -> int:
     """1 where the drive tells nothing, or nothing was written that was to be."""
     machine, text = _machine(args)
-    buses = bus_names(args.bus, machine)
+    buses = buses_of(args, machine)
     try:
         with log_errors(), ExitStack() as stack:
             progress = _progress(stack, args.json)
@@ -50,7 +52,7 @@ def run_logs(args: argparse.Namespace) -> int:
         written = _write(args, found) if args.out is not None else None
         status = 0 if written is not False else 1
     except OSError as error:
-        _say(f"{error.filename or args.out}: {(error.strerror or str(error)).lower()}")
+        _say(f"{error.filename or args.out}: {reason_of(error)}")
         status, written = 1, False
     if args.json:
         print(json.dumps({**found.as_json(), "written": str(args.out) if written else None}))

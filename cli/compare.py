@@ -3,21 +3,23 @@
 import argparse
 import json
 import math
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from tilth.analysis.fit.compare import FitComparison, NotComparable, as_json, compare
+from tilth.analysis.fit.compare import FitComparison, NotComparable, compare
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
-from tilth.analysis.fit.result import as_json as fitted_json
+from tilth.analysis.fit.result import FitAnswer, as_json
 from tilth.analysis.runs.run import open_runs
-from tilth.cli import WrongUse, saying
+from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
 
-_say = saying("compare")
+_say = partial(say, "compare")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -52,13 +54,13 @@ def run(args: argparse.Namespace) -> int:
     except (CannotFit, NotComparable) as error:
         raise WrongUse(str(error)) from None
     if args.json:
-        print(json.dumps(as_json(found)))
+        print(json.dumps(asdict(found)))
     else:
         _show(found)
     return int(found.differ)
 
 
-def _answer(path: Path, machine: Path | None) -> dict[str, Any]:
+def _answer(path: Path, machine: Path | None) -> FitAnswer:
     """What `tilth fit --json` gives of a log, or gave. Raises WrongUse, LogError, CannotFit, OSError."""
     if path.suffix == ".json":
         try:
@@ -67,9 +69,9 @@ def _answer(path: Path, machine: Path | None) -> dict[str, Any]:
             found = None
         if not isinstance(found, dict) or "joint" not in found:
             raise WrongUse(f"{path}: not what `tilth fit --json` writes")
-        return found
+        return cast("FitAnswer", found)
     runs = open_runs(path, machine=read_machine(machine) if machine else None, say=_say)
-    return fitted_json(fit_all(choose(runs)))
+    return as_json(fit_all(choose(runs)))
 
 
 def _show(found: FitComparison) -> None:

@@ -10,16 +10,17 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
-from tilth.cli import add_bus_names, saying
+from tilth.cli import add_bus_names, buses_of, say
 from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import LogError, OpenLog, Record
-from tilth.replay.readers.rig import bus_names, machine_in, on_buses_of
+from tilth.replay.readers.rig import machine_in, on_buses_of
 from tilth.replay.turn_rates import TurnRates
 from tilth.schemas.can_id import BROADCAST
 from tilth.schemas.decode import Decoder, Unread
@@ -28,10 +29,11 @@ from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
 from tilth.schemas.messages import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
+from tilth.schemas.readable import reason_of
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences import rejection_sentence
 
-_say = saying("decode")
+_say = partial(say, "decode")
 
 _CLAIM = 60928
 _YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
@@ -105,7 +107,7 @@ def _decoded() -> str:
 
 def run(args: argparse.Namespace) -> int:
     machine, text = _machine(args)
-    buses = bus_names(args.bus, machine)
+    buses = buses_of(args, machine)
     sha256 = machine_sha256(machine, text) if machine is not None else ""
     decoding = _Decoding(machine, sha256, Decoder(machine))
     write_line = _json_line if args.json else _text_line
@@ -124,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):  # of what is written
                 raise
-            _say(f"{path}: {(error.strerror or str(error)).lower()}")
+            _say(f"{path}: {reason_of(error)}")
             status = max(status, 1)
     decoding.close_counts()
     _tell_counts(decoding.count, decoding.rejected)

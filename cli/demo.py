@@ -6,12 +6,13 @@ import json
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, duration, saying
+from tilth.cli import WrongUse, duration, say
 from tilth.logger.child import words_of
 from tilth.logger.display import Display
 from tilth.logger.job import Job, JobEnded
@@ -20,7 +21,7 @@ from tilth.schemas.invocation import command
 from tilth.simulator.demo import SPATIAL, Demo, DemoError, comparison_table, reasons, result, run_demo
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
-_say = saying("demo")
+_say = partial(say, "demo")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -3,20 +3,23 @@
 import argparse
 import difflib
 import math
-import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
+from tilth.analysis.report.document import DriveReport, as_json
 from tilth.analysis.rig_report import SPEED_RANGE
+from tilth.analysis.sensitivity.answers import Made
 from tilth.analysis.sensitivity.outputs import NAMES, SPEEDS
-from tilth.cli import REPORT_SUFFIXES, WrongUse, check_folder
+from tilth.cli import WrongUse, exists, say
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.machine import Machine
+from tilth.schemas.readable import reason_of
 
 STEP = "step"  # of MANOEUVRES
+Data = TypeVar("Data")  # of a report
 
 
 def between(low: float, high: float, unit: str) -> Callable[[str], float]:
@@ -34,21 +37,22 @@ def between(low: float, high: float, unit: str) -> Callable[[str], float]:
     return number
 
 
+def add_speed_and_model(
+    parser: argparse.ArgumentParser, speeds: Sequence[float], models: str = "relaxation"
+) -> None:
+    """The options of which speeds and models are asked for. speeds, models: those without them."""
+    several = "may be given several times"
+    parser.add_argument(
+        "--speed", action="append", type=between(*SPEED_RANGE, "m/s"), metavar="M/S",
+        help=f"{several} ({', '.join(map(str, speeds))})",
+    )  # fmt: skip
+    names = [model.name for model in MODELS]
+    parser.add_argument("--model", action="append", choices=names, help=f"{several} ({models})")
+
+
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """The options of which speeds, models and outputs are asked for."""
-    parser.add_argument(
-        "--speed",
-        action="append",
-        type=between(*SPEED_RANGE, "m/s"),
-        metavar="M/S",
-        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
-    )
-    parser.add_argument(
-        "--model",
-        action="append",
-        choices=[model.name for model in MODELS],
-        help="may be given several times (relaxation)",
-    )
+    add_speed_and_model(parser, SPEEDS)
     parser.add_argument(
         "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
     )
@@ -102,45 +106,27 @@ def check_name(option: str, word: str, known: Iterable[str]) -> None:
     raise WrongUse(f"{option} {word}: there is no such name{hint} There are {', '.join(there)}")
 
 
-def check_out(out: Path | None) -> None:
-    """Before anything is computed. Raises WrongUse."""
-    if out is None:
-        return
-    if out.suffix.lower() not in REPORT_SUFFIXES:
-        raise WrongUse(f"--out {out}: give a name that ends in .html")
-    for path in (out, out.with_suffix(".json")):
-        if path.exists():
-            raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
-    check_folder(out.parent)
-
-
-def made_by(machine: Machine, text: str) -> dict[str, Any]:
+def made_by(machine: Machine, text: str) -> Made:
     """What a report says of its origin."""
     return {"machine_sha256": machine_sha256(machine, text), "software": software()}
 
 
-def write_report(
-    of: str, build: Callable[[Mapping[str, Any]], Any], data: Mapping[str, Any], out: Path
-) -> int:
+def write_report(of: str, build: Callable[[Data], DriveReport], data: Data, out: Path) -> int:
     """Write the HTML file and the JSON beside it, both or none. The exit status: 1 where that fails.
 
     of: the command, for its words. Raises WrongUse where a file has come to be there meanwhile.
     """
-    from tilth.analysis.report.document import as_json  # matplotlib takes a second: only who writes pays
-    from tilth.analysis.report.writing import write
+    from tilth.analysis.report.writing import write  # matplotlib takes a second: only who writes pays
 
     report = build(data)
     try:
         written = write(report, as_json(report), out)
     except FileExistsError as error:
-        raise WrongUse(
-            f"{error.filename}: exists; a report is never overwritten, give another name"
-        ) from None
+        raise exists(error.filename) from None
     except PermissionError:
         raise  # cli.main knows what to say
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        print(f"tilth {of}: {error.filename or out}: {reason}; nothing was written", file=sys.stderr)
+        say(of, f"{error.filename or out}: {reason_of(error)}; nothing was written")
         return 1
-    print(f"tilth {of}: wrote {', '.join(map(str, written))}", file=sys.stderr)
+    say(of, f"wrote {', '.join(map(str, written))}")
     return 0

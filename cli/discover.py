@@ -6,13 +6,13 @@ import json
 import signal
 import sys
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from pydantic import ValidationError
 
-from tilth.cli import WrongUse, duration, saying
+from tilth.cli import WrongUse, duration, say
 from tilth.logger.log import whole_file
 from tilth.replay.discover import BusDevice, BusSurvey, Findings, listen
 from tilth.replay.machine_draft import described, draft
@@ -23,9 +23,10 @@ from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
+from tilth.schemas.readable import reason_of
 from tilth.schemas.sentences import notice_sentence
 
-_say = saying("discover")
+_say = partial(say, "discover")
 
 MOST_MESSAGES = 8
 MOST_CANDIDATES = 5
@@ -105,27 +106,21 @@ def parse_buses(specifications: Sequence[str]) -> list[Bus]:
     for given in specifications:
         place, *pairs = given.split(",")
         interface, colon, channel = place.partition(":")
-        values: dict[str, Any] = {}
+        values: dict[str, str | int | float | bool] = {}
         for pair in pairs:
             key, equals, text = pair.partition("=")
             values[key] = _value(text)
             colon = colon and equals
         if not (interface and channel and colon):
             raise WrongUse(f"--bus {given}: write INTERFACE:CHANNEL[,key=value…], such as socketcan:can0")
-        bitrate = values.pop("bitrate", 250_000)
         names = [bus.name for bus in buses]
         plain = bus_name(channel, names) == channel
         name = channel if plain else bus_name(f"can{len(buses)}", names)
         try:
-            buses.append(
-                Bus(
-                    name=bus_name(name, names),
-                    interface=interface,
-                    channel=channel,
-                    bitrate=bitrate,
-                    options=values,
-                )
-            )
+            buses.append(Bus.model_validate({
+                "name": bus_name(name, names), "interface": interface, "channel": channel,
+                "bitrate": values.pop("bitrate", 250_000), "options": values,
+            }))  # fmt: skip
         except ValidationError as error:
             raise WrongUse(f"--bus {given}: {error.errors()[0]['msg']}") from None
     return buses
@@ -147,7 +142,7 @@ def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
         try:
             whole_file.write(args.out, text.encode(), replace=False)
         except OSError as error:
-            raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
+            raise WrongUse(f"--out {args.out}: {reason_of(error)}") from None
         then = command("check", str(args.out))
         _say(f"the draft is in {args.out}; fill in the lines marked FILL IN, then: {then}")
     if args.json:
@@ -160,7 +155,7 @@ def _answer(args: argparse.Namespace, findings: Findings, text: str) -> None:
         print(text)
 
 
-def as_json(findings: Findings, text: str) -> dict[str, Any]:
+def as_json(findings: Findings, text: str) -> dict[str, object]:
     return {
         "frames": findings.frames,
         "seconds": findings.seconds,
@@ -183,7 +178,7 @@ def as_json(findings: Findings, text: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _source_as_json(source: BusDevice) -> dict[str, Any]:
+def _source_as_json(source: BusDevice) -> dict[str, object]:
     lag = source.turn_rate_lag
     return {
         "bus": source.bus,

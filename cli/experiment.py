@@ -6,13 +6,14 @@ import signal
 import sys
 import time
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import zenoh
 from numpy.random import default_rng
 
-from tilth.cli import WrongUse, duration
+from tilth.cli import WrongUse, as_given, duration, say
 from tilth.cli.daemon_order import client_config, no_daemon, of_key
 from tilth.cli.experiment_learned import EDITED, FitOfRuns
 from tilth.cli.experiment_screen import KEYS, line, panel
@@ -28,11 +29,15 @@ from tilth.estimator.models.planned_run import Scheduled, share_followed
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.experiment import KINDS, ExperimentPlan, PlanError, Rectangle, edited, parse_plan
 from tilth.schemas.invocation import command
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "experiment")
 
 FIELD = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 MOST_TRIES = 999
 CUT = 0.75  # of the steering: a run of which less can be followed is told of
 _PROMPTS = "a driver is prompted through {} already, and two would mark one log; end that one first"
+_NOT_PROPOSING = "--from and --out are for --propose"
 _OF_A_PROPOSAL: dict[str, object] = {
     "speed": 4.5, "seconds": 20.0, "replicates": 3, "runs": 3, "kind": [], "seed": 1,
     "field": Rectangle(length=400, width=80, headland=0), "headland": None, "angle": None,
@@ -118,33 +123,34 @@ def _of_field(corner: FieldCorner) -> dict[str, Any]:
 
 def run(args: argparse.Namespace) -> int:
     """1 where not all runs were driven, or a proposal is of no use; 2 where it cannot begin."""
+    resumes = args.start_at != 1 or args.tries != 1 or args.corner is not None
     if args.propose:
-        if args.start_at != 1 or args.tries != 1 or args.corner is not None:
-            raise WrongUse("--start-at, --try and --corner go with a plan to drive, not with --propose")
-        if args.plan is not None:
-            raise WrongUse("--propose writes a plan to --out; leave out the one to drive")
-        if args.check:
-            raise WrongUse("--check goes with a plan that is there, not with --propose")
+        _refuse(
+            (resumes, "--start-at, --try and --corner go with a plan to drive, not with --propose"),
+            (args.plan is not None, "--propose writes a plan to --out; leave out the one to drive"),
+            (args.check, "--check goes with a plan that is there, not with --propose"),
+        )
         from tilth.cli.experiment_propose import propose  # with the fits: only who asks pays for it
 
         return propose(args)
     if args.check:
-        return _check(args)
-    if args.plan is None:
-        raise WrongUse("give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one")
-    if args.machine:
-        raise WrongUse(
-            "--machine is for --propose and --check; to drive, the machine file is that of the daemon"
-        )
-    if args.logs or args.out:
-        raise WrongUse("--from and --out are for --propose")
+        return _check(args, resumes)
+    own_file = "--machine is for --propose and --check; to drive, the machine file is that of the daemon"
+    new = "give the plan to drive, or --propose --machine M.toml --out PLAN.toml for a new one"
+    _refuse((args.plan is None, new), (args.machine, own_file), (args.logs or args.out, _NOT_PROPOSING))
     _refuse_proposing(args)
-    plan = _read(args.plan)
+    return _drive_plan(args, _read(args.plan))
+
+
+def _drive_plan(args: argparse.Namespace, plan: ExperimentPlan) -> int:
     count = sum(one.replicates for one in plan.run)
-    if not 1 <= args.start_at <= count:
-        raise WrongUse(f"--start-at {args.start_at}: {args.plan} has runs 1 to {count}")
-    if not 1 <= args.tries <= MOST_TRIES:
-        raise WrongUse(f"--try {args.tries}: give a whole number from 1 to {MOST_TRIES}")
+    _refuse(
+        (not 1 <= args.start_at <= count, f"--start-at {args.start_at}: {args.plan} has runs 1 to {count}"),
+        (
+            not 1 <= args.tries <= MOST_TRIES,
+            f"--try {args.tries}: give a whole number from 1 to {MOST_TRIES}",
+        ),
+    )
     if args.corner is not None:
         field = plan.field.model_copy(update=_of_field(args.corner))
         plan = plan.model_copy(update={"field": field})
@@ -158,22 +164,28 @@ def run(args: argparse.Namespace) -> int:
         return _drive(args, course, wires)
 
 
+def _refuse(*cases: tuple[object, str]) -> None:
+    """Raises WrongUse with the words of the first case that is so."""
+    for is_so, words in cases:
+        if is_so:
+            raise WrongUse(words)
+
+
 def _refuse_proposing(args: argparse.Namespace) -> None:
     """Raises WrongUse where an option of --propose stands beside a plan."""
     if given := [f"--{name}" for name, default in _OF_A_PROPOSAL.items() if getattr(args, name) != default]:
         raise WrongUse(f"{', '.join(given)}: for --propose; what is driven stands in {args.plan}")
 
 
-def _check(args: argparse.Namespace) -> int:
+def _check(args: argparse.Namespace, resumes: bool) -> int:
     """Prints that a plan can be driven. Raises WrongUse where it cannot."""
-    if args.plan is None:
-        raise WrongUse("--check needs the plan to look at")
-    if args.machine is None:
-        raise WrongUse("--check needs --machine M.toml")
-    if args.logs or args.out:
-        raise WrongUse("--from and --out are for --propose")
-    if args.start_at != 1 or args.tries != 1 or args.corner is not None or args.connect != ENDPOINT:
-        raise WrongUse("--start-at, --try, --corner and --connect go with a plan to drive, not with --check")
+    driving = "--start-at, --try, --corner and --connect go with a plan to drive, not with --check"
+    _refuse(
+        (args.plan is None, "--check needs the plan to look at"),
+        (args.machine is None, "--check needs --machine M.toml"),
+        (args.logs or args.out, _NOT_PROPOSING),
+        (resumes or args.connect != ENDPOINT, driving),
+    )
     _refuse_proposing(args)
     plan, (machine, _) = _read(args.plan), read_machine(args.machine)
     if plan.machine != machine.name:
@@ -217,8 +229,7 @@ def _read(path: Path) -> ExperimentPlan:
     except UnicodeDecodeError:
         raise WrongUse(f"{path}: no plan: not UTF-8 text") from None
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise WrongUse(f"{path}: the plan cannot be read ({reason})") from None
+        raise WrongUse(f"{path}: the plan cannot be read ({reason_of(error)})") from None
 
 
 def _wires(args: argparse.Namespace, plan: ExperimentPlan) -> PrompterWires:
@@ -311,20 +322,20 @@ def _ended(args: argparse.Namespace, course: Course, prompt: Prompt) -> int:
     count = len(course.drives)
     skipped = skipped_of(prompt.attempts, count)
     if skipped:
-        print(f"tilth experiment: {skipped}", file=sys.stderr)
+        _say(skipped)
     left = count - prompt.at
     if left:
         were = "was" if left == 1 else "were"
-        print(f"tilth experiment: {left} of {count} runs {were} not driven", file=sys.stderr)
+        _say(f"{left} of {count} runs {were} not driven")
         print(f"to go on: {_going_on(args, course, prompt)}", file=sys.stderr)
     return 1 if left or skipped else 0
 
 
 def _going_on(args: argparse.Namespace, course: Course, prompt: Prompt) -> str:
     """The command that goes on where this one was, with its options, in the same field."""
-    words = [] if args.connect == ENDPOINT else ["--connect", args.connect]
-    words += [] if args.config is None else ["--config", str(args.config)]
-    words += [] if args.config or args.prefix == "tilth" else ["--prefix", args.prefix]
+    words = as_given(args, "connect") if args.connect != ENDPOINT else []
+    words += as_given(args, "config")
+    words += as_given(args, "prefix") if args.prefix != "tilth" and not args.config else []
     words += ["--start-at", str(prompt.at + 1)]
     words += [] if prompt.tries == 1 else ["--try", str(prompt.tries)]
     if args.corner is not None:

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from tilth.analysis.experiment.plan_text import text_of, worth
@@ -13,7 +14,7 @@ from tilth.analysis.experiment.propose import SHORTEST_S, Progress, WantedPlan
 from tilth.analysis.experiment.propose import propose as best_plan
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.runs.run import Run, is_mcap, open_runs
-from tilth.cli import WrongUse, check_folder, saying
+from tilth.cli import WrongUse, check_folder, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import Steps, bars
 from tilth.logger.log import whole_file
@@ -22,9 +23,10 @@ from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_difference import differing
-from tilth.schemas.readable import readable
+from tilth.schemas.readable import readable, reason_of
 
-_say = saying("experiment")
+_say = partial(say, "experiment")
+
 
 KINDS_PROPOSED = tuple(kind for kind in KINDS if kind != "step")  # what a proposal is compared with
 
@@ -58,7 +60,7 @@ def propose(args: argparse.Namespace) -> int:
         text = readable(text_of(found, str(args.out), source))
         whole_file.write(args.out, text.encode(), replace=False)
     except OSError as error:
-        raise WrongUse(f"{args.out}: {(error.strerror or str(error)).lower()}") from None
+        raise WrongUse(f"{args.out}: {reason_of(error)}") from None
     print(worth(found))
     count = sum(run.replicates for run in found.plan.run)
     print(f"{args.out} is written: {'1 run' if count == 1 else f'{count} runs'}.")

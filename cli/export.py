@@ -12,14 +12,14 @@ from pathlib import Path
 from tilth.analysis.export.export import SPREADSHEET_ROWS, Exported, ExportPlan, check, export, folders_of
 from tilth.analysis.export.files import FORMATS, ExportError, check_installed
 from tilth.analysis.export.naming import NAMES, UnknownChannel, choose
-from tilth.analysis.runs.run import Run, open_runs
-from tilth.cli import WrongUse, add_bus_names, say_unusual, saying
+from tilth.analysis.runs.run import Run
+from tilth.cli import WrongUse, add_bus_names, say, say_unusual
 from tilth.cli.log_errors import log_errors
+from tilth.cli.log_options import add_machine, given_machine, runs_of
 from tilth.cli.progress_bar import bars
-from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.rig import bus_names, machine_in
 
-_say = saying("export")
+_say = partial(say, "export")
+
 
 Shown = Callable[[int, int], None]
 _PERIOD = re.compile(r"(\d+(?:\.\d+)?)(us|ms|s)")
@@ -52,10 +52,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--until", type=_seconds, default=math.inf, dest="until_s", metavar="S", help="of the run"
     )
-    parser.add_argument(
-        "--machine", type=Path, metavar="M.toml", help="needed where tilth did not write the log; else it is "
-        "replayed with this one",
-    )  # fmt: skip
+    add_machine(parser, "needed where tilth did not write the log; else it is replayed with this one")
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="the summary as one JSON object")
 
@@ -115,13 +112,10 @@ def _plan(args: argparse.Namespace) -> ExportPlan:
 
 def _runs(args: argparse.Namespace, progress: Shown) -> tuple[Run, ...]:
     """Raises LogError, MachineError, WrongUse, OSError."""
-    machine = read_machine(args.machine) if args.machine else None
+    machine = given_machine(args)
     if machine is not None:
         say_unusual("export", machine[0])
-    buses: dict[str, str] = {}
-    if args.bus:
-        buses = bus_names(args.bus, (machine or machine_in(args.logs))[0])
-    return open_runs(args.logs, machine=machine, buses=buses, progress=progress, say=_say)
+    return runs_of(args, machine, _say, progress)
 
 
 def _tell(done: list[Exported], args: argparse.Namespace) -> None:

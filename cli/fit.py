@@ -4,40 +4,33 @@ import argparse
 import json
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
 from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, choose, fit_all
-from tilth.analysis.fit.result import as_json
-from tilth.analysis.runs.run import Run, open_runs
+from tilth.analysis.fit.result import FitAnswer, RunAnswer, as_json
+from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import KINDS
-from tilth.cli import WrongUse, add_bus_names, saying, whole
+from tilth.cli import WrongUse, add_bus_names, add_processes, say
 from tilth.cli.log_errors import log_errors
+from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import bars
-from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.rig import bus_names
+from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine_difference import differing
 from tilth.schemas.spread import of_logarithm
 
-_say = saying("fit")
+_say = partial(say, "fit")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser("fit", help="the parameters of each run in logs, and of all together")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
-    parser.add_argument("--machine", type=Path, metavar="M.toml", help="instead of the one in the logs")
-    parser.add_argument(
-        "--segment",
-        action="append",
-        default=[],
-        type=segment,
-        metavar="[N:]A:B",
-        help="from A to B, seconds since the N-th run began (1); again for more; else marks, else found",
-    )
+    add_machine(parser)
+    add_segments(parser, "from A to B, seconds since the N-th run began (1); else marks, else what is found")
     parser.add_argument(
         "--kind",
         action="append",
@@ -45,27 +38,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         choices=KINDS,
         help="only such segments; again for more",
     )
-    parser.add_argument(
-        "--mark", action="append", default=[], metavar="NAME",
-        help='only between marks "NAME start" and "NAME end"; * is anything; again for more',
-    )  # fmt: skip
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
-    parser.add_argument("--jobs", type=whole(1), metavar="N", help="processes (as many as there are cores)")
+    add_processes(parser, "--jobs")
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
-
-
-def segment(text: str) -> tuple[int, float, float]:
-    """(number of the run, start, end in s) of [N:]A:B."""
-    parts = text.split(":")
-    try:
-        number = int(parts[0]) if len(parts) == 3 else 1
-        start_s, end_s = (float(part) for part in parts[-2:])
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text}: write A:B or N:A:B, in seconds") from None
-    if len(parts) not in (2, 3) or not 0.0 <= start_s < end_s < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text}: write A:B with A before B, in seconds")
-    return number, start_s, end_s
 
 
 def run(args: argparse.Namespace) -> int:
@@ -75,18 +51,11 @@ def run(args: argparse.Namespace) -> int:
     try:
         with log_errors(), ExitStack() as stack:
             show = bars(stack)
-            machine = read_machine(args.machine) if args.machine else None
-            buses = bus_names(args.bus, machine[0] if machine else None)
-            runs = open_runs(
-                args.logs, machine=machine, buses=buses, say=_say,
-                progress=lambda done, of: show("reading", done, of),
-            )  # fmt: skip
+            runs = runs_of(args, given_machine(args), _say, partial(show, "reading"))
             wanted = choose(runs, args.segment, args.kind, args.mark)
             _check_same_rig([one.run for one in wanted])
-            fitted = fit_all(
-                wanted, two_step=args.two_step, jobs=args.jobs,
-                progress=lambda done, of: show("fitting", done, of),
-            )  # fmt: skip
+            progress = partial(show, "fitting")
+            fitted = fit_all(wanted, two_step=args.two_step, jobs=args.jobs, progress=progress)
     except CannotFit as error:
         by_hand = "; `--segment A:B` names a stretch, in seconds since the log began"
         text = f"{error}{by_hand if isinstance(error, NoSteering) else ''}"
@@ -126,14 +95,14 @@ def _check_same_rig(runs: Sequence[Run]) -> None:
         raise CannotFit(f"{error}. They differ in {keys}") from None
 
 
-def _show(answer: dict[str, Any]) -> None:
+def _show(answer: FitAnswer) -> None:
     console = Console()
     for run in answer["runs"]:
         told = ", ".join(run["determined"])
         console.print(_table(_title(run), run["parameters"]))
         if told:
             console.print(f"determined: {told}")
-    if answer["joint"] is None:
+    if answer["joint"] is None or answer["agreement"] is None:
         console.print("No segment told anything; the reasons stand above.")
         return
     if len(answer["runs"]) > 1:
@@ -144,18 +113,20 @@ def _show(answer: dict[str, Any]) -> None:
                 console.print(_table(f"together: {group['name']}", group["parameters"]))
 
 
-def _title(run: dict[str, Any]) -> str:
+def _title(run: RunAnswer) -> str:
     what = run["name"] or run["kind"].replace("_", " ")
     return f"segment {run['id']}, {what}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
 
 
-def _table(title: str, parameters: dict[str, Any]) -> RichTable:
+def _table(title: str, parameters: dict[str, ParameterEntry]) -> RichTable:
     table = RichTable(title=title, title_justify="left")
     for heading in ("", "estimate", "status", "reason"):
         table.add_column(heading, overflow="fold")
     for name in PARAMETERS:
         row = parameters[name]
         unit = "N/rad" if name.startswith("C_") else "m"
-        text = "-" if row["value"] is None else of_logarithm(row["value"], row["sd"], unit)
+        text = (
+            "-" if row["value"] is None or row["sd"] is None else of_logarithm(row["value"], row["sd"], unit)
+        )
         table.add_row(name, text, row["status"], row["reason"])
     return table

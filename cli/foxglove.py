@@ -5,6 +5,9 @@ import signal
 import threading
 from http import HTTPStatus
 from importlib import resources
+from typing import TYPE_CHECKING
+
+import zenoh
 
 from tilth.cli import WrongUse
 from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_who_reaches
@@ -12,6 +15,9 @@ from tilth.client.link import base_key, living, open_session
 from tilth.monitor.addresses import urls
 from tilth.monitor.origin import Refusal
 from tilth.schemas.invocation import installing
+
+if TYPE_CHECKING:  # an extra
+    from tilth.monitor.foxglove_server import FoxgloveServer
 
 PORT = 8765  # where such viewers look first
 LOOK_S = 0.5
@@ -56,8 +62,8 @@ class _Refusals:
             print(line, flush=True)
 
 
-def run(args: argparse.Namespace) -> int:
-    check_address(args)
+def _opened(args: argparse.Namespace) -> "tuple[FoxgloveServer, zenoh.Session, str]":
+    """The server, the network, and the key of the daemon where it is named. Raises WrongUse."""
     try:
         from tilth.monitor.foxglove_server import FoxgloveServer
     except ModuleNotFoundError as error:
@@ -70,11 +76,16 @@ def run(args: argparse.Namespace) -> int:
     except ValueError as error:
         raise WrongUse(str(error)) from None
     try:
-        server = FoxgloveServer(args.host, args.port, args.allow_origin, _Refusals())
+        return FoxgloveServer(args.host, args.port, args.allow_origin, _Refusals()), session, base
     except OSError as error:
         session.close()
         why = error.strerror or str(error)
         raise WrongUse(f"--host {args.host} --port {args.port}: {why}; give others") from None
+
+
+def run(args: argparse.Namespace) -> int:
+    check_address(args)
+    server, session, base = _opened(args)
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     for url in urls("ws", args.host, server.port):

@@ -9,6 +9,7 @@ from tilth.client.refusal import try_key
 from tilth.deploy import keys
 from tilth.logger.clock import YEARS, Clock
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.readable import reason_of
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -52,9 +53,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(str(error)) from None
     except OSError as error:
         place = error.filename or args.folder
-        raise WrongUse(
-            f"{place}: {(error.strerror or str(error)).lower()}; give a folder of your own"
-        ) from None
+        raise WrongUse(f"{place}: {reason_of(error)}; give a folder of your own") from None
     return 0
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tilth.cli import CommandFailed
 from tilth.replay.readers.log import LogError
+from tilth.schemas.readable import reason_of
 
 
 @contextmanager
@@ -21,6 +22,6 @@ def log_errors(what: str | Path | None = None, after: str = "") -> Iterator[None
     except (PermissionError, BrokenPipeError):
         raise  # cli.main knows what to say
     except OSError as error:
-        text = f"{error.filename or what or 'log'}: {(error.strerror or str(error)).lower()}"
+        text = f"{error.filename or what or 'log'}: {reason_of(error)}"
         text += f"; {after}" if after else ""
         raise CommandFailed(text, 2 if isinstance(error, FileNotFoundError) else 1) from None

@@ -6,6 +6,8 @@ import signal
 import threading
 import time
 
+import zenoh
+
 from tilth.cli import WrongUse
 from tilth.cli.zenoh_options import add_daemon
 from tilth.client import Client, Staleness
@@ -38,22 +40,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 
 def run(args: argparse.Namespace) -> int:
-    for name, number in (("--system", args.system), ("--component", args.component)):
-        if not 1 <= number <= 255:
-            raise WrongUse(f"{name} {number}: give a number from 1 to 255")
-    try:
-        to = udp_address(args.to)
-        if to.listening:
-            raise ValueError(f"--to {args.to}: it sends only; give udpout:HOST:PORT")
-        base_key(args.machine or "any", args.prefix, args.replay)
-        session = open_session(args.connect, args.config)
-    except ValueError as error:
-        raise WrongUse(str(error)) from None
-    try:
-        sender = MavlinkSender(to, args.system, args.component)
-    except OSError as error:
-        session.close()
-        raise WrongUse(f"--to {args.to}: {error.strerror or error}; correct the host") from None
+    sender, session = _opened(args)
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     base = base_key(args.machine, args.prefix, args.replay) if args.machine else ""
@@ -75,6 +62,26 @@ def run(args: argparse.Namespace) -> int:
             client.close()
         session.close()
         sender.close()
+
+
+def _opened(args: argparse.Namespace) -> tuple[MavlinkSender, zenoh.Session]:
+    """Raises WrongUse."""
+    for name, number in (("--system", args.system), ("--component", args.component)):
+        if not 1 <= number <= 255:
+            raise WrongUse(f"{name} {number}: give a number from 1 to 255")
+    try:
+        to = udp_address(args.to)
+        if to.listening:
+            raise ValueError(f"--to {args.to}: it sends only; give udpout:HOST:PORT")
+        base_key(args.machine or "any", args.prefix, args.replay)
+        session = open_session(args.connect, args.config)
+    except ValueError as error:
+        raise WrongUse(str(error)) from None
+    try:
+        return MavlinkSender(to, args.system, args.component), session
+    except OSError as error:
+        session.close()
+        raise WrongUse(f"--to {args.to}: {error.strerror or error}; correct the host") from None
 
 
 def _say(to: str, unsent: str, reason: str, before: str) -> str:

@@ -3,20 +3,23 @@
 import argparse
 import json
 import math
-import sys
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
-from tilth.analysis.rig_report import LINEAR, SPEED_RANGE, SPEEDS, Drive, rig_report
+from tilth.analysis.rig_report import LINEAR, SPEEDS, Drive, rig_report
 from tilth.analysis.rig_tables import rig_tables
-from tilth.cli import WrongUse, say_unusual
-from tilth.cli.desk_options import between
-from tilth.estimator.models.family import MODELS, model_named
+from tilth.cli import WrongUse, say, say_unusual
+from tilth.cli.desk_options import add_speed_and_model, between
+from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import SENSOR_SETS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "model")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -28,19 +31,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     drive = Drive()
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
-    parser.add_argument(
-        "--model",
-        action="append",
-        choices=[model.name for model in MODELS],
-        help="may be given several times (kinematic, dynamic and relaxation)",
-    )
-    parser.add_argument(
-        "--speed",
-        action="append",
-        type=between(*SPEED_RANGE, "m/s"),
-        metavar="M/S",
-        help="may be given several times (" + ", ".join(map(str, SPEEDS)) + ")",
-    )
+    add_speed_and_model(parser, SPEEDS, "kinematic, dynamic and relaxation")
     parser.add_argument(
         "--manoeuvre",
         choices=[row.name for row in MANOEUVRES],
@@ -84,9 +75,9 @@ def run(args: argparse.Namespace) -> int:
     drive = Drive(manoeuvre_named(args.manoeuvre), args.sensors, amplitude, args.seconds)
     if args.plot is not None:
         _plot(args.plot, machine.machine.name, rig, [model.name for model in models], speeds)
-    report = {"machine": machine.machine.name} | rig_report(rig, models, speeds, drive)
+    report = rig_report(rig, models, speeds, drive)
     if args.json:
-        print(json.dumps(report, allow_nan=False))
+        print(json.dumps({"machine": machine.name, **report}, allow_nan=False))
         return 0
     console = Console(highlight=False)
     for part in rig_tables(machine.machine.name, report):
@@ -106,7 +97,5 @@ def _plot(path: Path, name: str, rig: Rig, models: list[str], speeds: list[float
     try:
         rig_plot.draw_rig(name, rig, [model_named(model) for model in models], speeds, path)
     except OSError as error:
-        raise WrongUse(
-            f"--plot {path}: {(error.strerror or str(error)).lower()}; give another path"
-        ) from None
-    print(f"tilth model: drew {path}", file=sys.stderr)
+        raise WrongUse(f"--plot {path}: {reason_of(error)}; give another path") from None
+    _say(f"drew {path}")

@@ -3,12 +3,14 @@
 import argparse
 import errno
 import os
-import sys
+from functools import partial
 from pathlib import Path
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say
 from tilth.logger.log.offload import CannotCopy, offload
 from tilth.logger.log.runs import StoredRun, stored_runs
+
+_say = partial(say, "offload")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -33,30 +35,30 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"{args.dest}: is the log folder itself; give another")
     runs = chosen(args.log, args.run)
     if args.dest.stat().st_dev == args.log.stat().st_dev:
-        print(f"tilth offload: {args.dest} is on the same disk as the logs", file=sys.stderr)
+        _say(f"{args.dest} is on the same disk as the logs")
     status, not_noted = 0, ""
     for one in runs:
         try:
             done = offload(one, args.dest.resolve(), lambda name: print(f"copying {name}"))
         except CannotCopy as error:  # nor can the next one
-            print(f"tilth offload: {error}", file=sys.stderr)
+            _say(str(error))
             return 1
         except (ValueError, OSError) as error:
-            print(f"tilth offload: left: {one.name}: {error}", file=sys.stderr)
+            _say(f"left: {one.name}: {error}")
             status = 1
             continue
         for why in done.not_copied:
-            print(f"tilth offload: left: {why}", file=sys.stderr)
+            _say(f"left: {why}")
             status = 1
         for what in done.damaged:
-            print(f"tilth offload: copied as it is: {what}", file=sys.stderr)
+            _say(f"copied as it is: {what}")
             status = 1
         not_noted = not_noted or done.not_noted
         files = "file" if done.copied == 1 else "files"
         print(f"{one.name}: {done.copied} {files} copied and compared, {done.there} there already")
     if not_noted:
         why = f"{not_noted}; it cannot be noted there what was copied"
-        print(f"tilth offload: {why}", file=sys.stderr)
+        _say(why)
     return status
 
 

@@ -5,11 +5,12 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import zenoh
 
-from tilth.cli import WrongUse, saying
+from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import stages
 from tilth.logger.machine_file import read_machine
@@ -22,7 +23,7 @@ from tilth.schemas.machine import Machine, MachineError, Zenoh
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
 
-_say = saying("monitor")
+_say = partial(say, "monitor")
 
 ANY_PORT = "tcp/127.0.0.1:0"
 

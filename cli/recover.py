@@ -1,12 +1,15 @@
 """`tilth recover`: finish log files that a power cut or a full disk has left unfinished."""
 
 import argparse
-import sys
+from functools import partial
 from pathlib import Path
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, say
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.logger.log.recovery import Finished, NoLog, finish, rescue
+from tilth.schemas.readable import reason_of
+
+_say = partial(say, "recover")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -39,11 +42,11 @@ def run(args: argparse.Namespace) -> int:
                 f"--out {error.filename}: exists; nothing is overwritten, give another name"
             ) from None
         except NoLog as error:
-            print(f"tilth recover: {error}", file=sys.stderr)
+            _say(str(error))
             status = 1
         except OSError as error:
             what = error.filename or args.out or path
-            print(f"tilth recover: {what}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
+            _say(f"{what}: {reason_of(error)}")
             status = 1
     return status
 

@@ -5,6 +5,7 @@ import json
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import zenoh
@@ -13,7 +14,7 @@ from rich.table import Table
 
 from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import SAYS
-from tilth.cli import WrongUse, add_bus_names, say_unusual, saying
+from tilth.cli import WrongUse, add_bus_names, buses_of, say, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.cli.unread import who
@@ -27,29 +28,27 @@ from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.replay.offline import Pace, ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import EmptyLog, LogError
-from tilth.replay.readers.rig import bus_names, machine_in
+from tilth.replay.readers.rig import machine_in
 from tilth.replay.simulated import REPLAY, SAID, simulated_by
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
-from tilth.schemas.readable import readable
+from tilth.schemas.readable import readable, reason_of
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences import event_sentence, rejection_sentence, sentence
 from tilth.schemas.spread import of_logarithm
 
-_say = saying("replay")
+_say = partial(say, "replay")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser("replay", help="feed logs through the estimators again")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
     parser.add_argument(
-        "--machine",
-        type=Path,
-        metavar="M.toml",
+        "--machine", type=Path, metavar="M.toml",
         help="instead of the one in the log; needed where tilth did not write it",
-    )
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="write frames and results to a new log")
     parser.add_argument("--publish", action="store_true", help="publish on Zenoh, under the replay prefix")
     parser.add_argument("--rate", type=_rate, default=None, metavar="1|max|N", help="times real time (max)")
@@ -80,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
         say_unusual("replay", machine)
         _say_other_files(args, machine)
-        buses = bus_names(args.bus, machine)
+        buses = buses_of(args, machine)
         with ExitStack() as stack:
             outputs = _outputs(stack, args, machine, text, comparison)
             simulated = simulated_by(args.logs)
@@ -148,7 +147,7 @@ def _writer(stack: ExitStack, args: argparse.Namespace, machine: Machine, text: 
     except FileExistsError:
         raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name") from None
     except OSError as error:
-        raise WrongUse(f"--out {args.out}: {(error.strerror or str(error)).lower()}") from None
+        raise WrongUse(f"--out {args.out}: {reason_of(error)}") from None
     writer.metadata(REPLAY, {"logs": "\n".join(readable(path.resolve()) for path in args.logs)})
     return writer
 

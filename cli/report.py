@@ -3,20 +3,24 @@
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
-from tilth.analysis.report.given import ALL, MOST_FITTED, GivenTimes, given_segments, given_times
-from tilth.analysis.runs.run import Run, open_runs
-from tilth.cli import REPORT_SUFFIXES, WrongUse, add_bus_names, check_folder, saying
+from tilth.analysis.report.given import ALL, MOST_FITTED, given_segments
+from tilth.analysis.runs.run import Run
+from tilth.analysis.runs.segments import DrivenSegment
+from tilth.cli import WrongUse, add_bus_names, as_given, at_least, check_folder, check_out, exists, say
 from tilth.cli.log_errors import log_errors
+from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import Steps, bars
-from tilth.logger.machine_file import read_machine
-from tilth.replay.readers.rig import bus_names, machine_in
 from tilth.schemas.invocation import command, installing
-from tilth.schemas.machine import Machine
 
-_say = saying("report")
+if TYPE_CHECKING:  # at run time wrong use is told before these imports
+    from tilth.analysis.report.data import Answers, ReportData
+
+Segments = list[tuple[DrivenSegment, ...]]  # of each run
+_say = partial(say, "report")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -33,20 +37,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--figures", type=Path, metavar="DIR", help="each figure as SVG and PDF into a new folder"
     )
-    parser.add_argument(
-        "--machine",
-        type=Path,
-        metavar="M.toml",
-        help="instead of the one in the log; needed where tilth did not write it",
-    )
-    parser.add_argument(
-        "--segment",
-        action="append",
-        default=[],
-        type=_times,
-        metavar="[N:]A:B",
-        help="report these seconds of the N-th log instead of the segments found; may be given several times",
-    )
+    add_machine(parser, "instead of the one in the log; needed where tilth did not write it")
+    add_segments(parser, "report these seconds of the N-th log instead of the segments found")
     parser.add_argument(
         "--fit",
         type=_most_fitted,
@@ -55,39 +47,19 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "without it the runs of a plan of experiments are all fitted, and so are segments that are named",
     )
     add_bus_names(parser)
-    parser.add_argument(
-        "--mark", action="append", default=[], metavar="NAME",
-        help='fit only what is between marks "NAME start" and "NAME end"; * is anything; again for more',
-    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
 
 
-def _times(text: str) -> GivenTimes:
-    try:
-        return given_times(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
 def _most_fitted(text: str) -> int:
-    if text == "all":
-        return ALL
-    if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text}: give a number of segments, at least 1, or all")
-    return int(text)
+    return ALL if text == "all" else at_least(1, "number of segments or all")(text)
 
 
 def run(args: argparse.Namespace) -> int:
     """1 if a log is cut off or damaged, or gives no poses."""
     _check_outputs(args)
     with log_errors(args.out, "nothing was written"):
-        machine = read_machine(args.machine) if args.machine else None
         with ExitStack() as stack:
-            show = bars(stack)
-            runs = open_runs(
-                args.logs, machine=machine, buses=_buses(args, machine), say=_say,
-                progress=lambda done, of: show("replay", done, of),
-            )  # fmt: skip
+            runs = runs_of(args, given_machine(args), _say, partial(bars(stack), "replay"))
         driven = [one for one in runs if one.poses.rows]
         for one in runs:
             if not one.poses.rows:
@@ -104,15 +76,9 @@ def _check_outputs(args: argparse.Namespace) -> None:
     """Before a long replay. Raises WrongUse."""
     if args.segment and args.mark:
         raise WrongUse("--segment names all that is fitted; leave out --mark beside it")
-    out: Path = args.out
-    if out.suffix.lower() not in REPORT_SUFFIXES:
-        raise WrongUse(f"--out {out}: give a name that ends in .html")
-    names = (".json", ".pdf") if args.pdf else (".json",)
-    for path in (out, *map(out.with_suffix, names)):
-        if path.exists():
-            raise WrongUse(f"{path}: exists; a report is never overwritten, give another name")
-    for folder in (out.parent, *([args.figures.parent] if args.figures else [])):
-        check_folder(folder)
+    check_out(args.out, (".json", ".pdf") if args.pdf else (".json",))
+    if args.figures is not None:
+        check_folder(args.figures.parent)
     if args.figures is not None and _holds_something(args.figures):
         raise WrongUse(f"--figures {args.figures}: give a new or an empty folder")
     if any(times.log > len(args.logs) for times in args.segment):
@@ -131,10 +97,6 @@ def _holds_something(folder: Path) -> bool:
     return folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
 
 
-def _buses(args: argparse.Namespace, machine: tuple[Machine, str] | None) -> dict[str, str]:
-    return bus_names(args.bus, (machine or machine_in(args.logs))[0]) if args.bus else {}
-
-
 def _no_poses(one: Run) -> str:
     path = one.sources[0]
     return (
@@ -143,16 +105,14 @@ def _no_poses(one: Run) -> str:
     )
 
 
-def _given(runs: Sequence[Run], args: argparse.Namespace) -> list[Any]:
+def _given(runs: Sequence[Run], args: argparse.Namespace) -> Segments:
     try:
         return [given_segments(one, args.logs, args.segment) for one in runs]
     except ValueError as error:
         raise WrongUse(f"--segment: {error}") from None
 
 
-def _answers(
-    runs: Sequence[Run], segments: list[Any], args: argparse.Namespace, steps: Steps
-) -> dict[str, Any]:
+def _answers(runs: Sequence[Run], segments: Segments, args: argparse.Namespace, steps: Steps) -> "Answers":
     from tilth.analysis.report.answers import answers_of  # wrong use is told before these imports
 
     found = answers_of(runs, segments, steps, args.fit, args.mark)
@@ -162,7 +122,10 @@ def _answers(
 
 
 def _write(
-    runs: Sequence[Run], segments: list[Any], answers: dict[str, Any], args: argparse.Namespace
+    runs: Sequence[Run],
+    segments: Segments,
+    answers: "Answers",
+    args: argparse.Namespace,
 ) -> int:
     from tilth.analysis.report.build import report_of  # matplotlib takes a second: wrong use is told before
     from tilth.analysis.report.document import as_json
@@ -171,14 +134,13 @@ def _write(
     from tilth.analysis.report.writing import json_text, write
 
     facts = [facts_of(one, given) for one, given in zip(runs, segments, strict=True)]
-    report = report_of({"command": command("report", *_words(args)), "runs": facts, **answers})
+    data = {"command": command("report", *_words(args)), "runs": facts, **answers}
+    report = report_of(cast("ReportData", data))
     content = as_json(report)
     try:
         written = write(report, content, args.out, with_pdf=args.pdf, figures=args.figures)
     except FileExistsError as error:
-        raise WrongUse(
-            f"{error.filename}: exists; a report is never overwritten, give another name"
-        ) from None
+        raise exists(error.filename) from None
     for one in facts:
         for text in warnings_of(one):
             if text != SIMULATED:  # said when the logs were opened
@@ -193,14 +155,9 @@ def _write(
 
 def _words(args: argparse.Namespace) -> list[str]:
     """The command line, as it would be given again."""
-    words = [*map(str, args.logs), "--out", str(args.out)]
-    words += ["--pdf"] if args.pdf else []
-    for option in ("figures", "machine"):
-        if getattr(args, option) is not None:
-            words += [f"--{option}", str(getattr(args, option))]
+    words = [*map(str, args.logs), *as_given(args, "out", "pdf", "figures", "machine")]
     if args.fit is not None:
         words += ["--fit", "all" if args.fit == ALL else str(args.fit)]
     for log, start_s, end_s in args.segment:
         words += ["--segment", f"{log}:{start_s:g}:{end_s:g}"]
-    words += [word for name in args.mark for word in ("--mark", name)]
-    return words + [word for name in args.bus for word in ("--bus", name)]
+    return words + as_given(args, "mark", "bus")

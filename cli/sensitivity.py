@@ -4,12 +4,14 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from tilth.analysis.sensitivity.answers import Made, SensitivityAnswer, SensitivityData, Values
 from tilth.analysis.sensitivity.local_answer import (
     OVERALL,
     LocalQuestion,
@@ -20,13 +22,12 @@ from tilth.analysis.sensitivity.local_answer import (
 )
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, SIX, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
-from tilth.cli import WrongUse, say_unusual, saying
+from tilth.cli import WrongUse, as_given, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
     after,
     between,
-    check_out,
     made_by,
     names,
     write_report,
@@ -37,8 +38,10 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
+from tilth.schemas.readable import reason_of
 
-_say = saying("sensitivity")
+_say = partial(say, "sensitivity")
+
 
 STEPS = ("1%", "exact")
 ACROSS = 4  # columns of long names in a terminal
@@ -91,7 +94,8 @@ def run(args: argparse.Namespace) -> int:
     if sys.stderr.isatty():
         _say("computing; this may take some seconds")
     try:
-        answer: dict[str, Any] = {"machine": machine.machine.name, **local_answer(rig, question)}
+        local = local_answer(rig, question)
+        answer = cast("SensitivityAnswer", {"machine": machine.machine.name, **local})
     except ValueError as error:
         raise WrongUse(str(error)) from None
     for one in answer["refused"]:
@@ -102,10 +106,7 @@ def run(args: argparse.Namespace) -> int:
         except PermissionError:
             raise
         except OSError as error:
-            _say(
-                f"{error.filename or 'results'}: {(error.strerror or str(error)).lower()}; what was done "
-                "is kept"
-            )
+            _say(f"{error.filename or 'results'}: {reason_of(error)}; what was done is kept")
             return 1
     if args.json:
         print(json.dumps(answer, allow_nan=False))
@@ -138,14 +139,14 @@ def question_of(args: argparse.Namespace) -> LocalQuestion:
 
 def _write(
     args: argparse.Namespace,
-    answer: Mapping[str, Any],
+    answer: SensitivityAnswer,
     rig: Rig,
     question: LocalQuestion,
-    made: dict[str, Any],
+    made: Made,
 ) -> int:
     from tilth.analysis.sensitivity.local_page import local_report
 
-    data: dict[str, Any] = {
+    data: SensitivityData = {
         **answer, "command": command("sensitivity", *_words(args)), "made": made,
         "another": {}, "curves": {}, "frequency": {},
     }  # fmt: skip
@@ -165,22 +166,17 @@ def _write(
 
 def _words(args: argparse.Namespace) -> list[str]:
     """The command line, as it would be given again."""
-    words = [str(args.machine)]
-    for option in ("speed", "model", "outputs", "parameters", "seconds"):
-        for value in getattr(args, option) or []:
-            words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
+    words = [str(args.machine), *as_given(args, "speed", "model", "outputs", "parameters", "seconds")]
     if args.over_all:
-        words += ["--global", *(["--points", str(args.points)] if args.points else [])]
-        words += [word for text in args.box for word in ("--box", text)]
-        words += ["--from", str(args.log)] if args.log else []
+        words += ["--global", *as_given(args, "points", "box", "from=log")]
         words += [] if args.indices else ["--no-indices"]
-        words += ["--dask", args.dask] if args.dask else []
+        words += as_given(args, "dask")
         words += ["--dask-tls", *args.dask_tls] if args.dask_tls else []
-    words += ["--input", args.input] if args.input != STEP else []
-    return [*words, "--step", args.step, "--out", str(args.out)]
+    words += as_given(args, "input") if args.input != STEP else []
+    return words + as_given(args, "step", "out")
 
 
-def _show(answer: Mapping[str, Any]) -> None:
+def _show(answer: SensitivityAnswer) -> None:
     console = Console(highlight=False)
     console.print(
         f"{answer['machine']}: per cent of the output for each per cent of the parameter "
@@ -197,7 +193,7 @@ def _show(answer: Mapping[str, Any]) -> None:
             show_global(console, entry)
 
 
-def _table(title: str, local: Mapping[str, Any], outputs: list[str]) -> RichTable:
+def _table(title: str, local: Mapping[str, Values], outputs: list[str]) -> RichTable:
     """The most important parameter first; those that do nothing are left out."""
     table = RichTable(title=title or None, title_justify="left")
     for heading in ("", *outputs):

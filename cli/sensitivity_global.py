@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, cast
 
 import numpy as np
 from rich.console import Console
@@ -15,6 +15,7 @@ from rich.table import Table as RichTable
 
 from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
+from tilth.analysis.sensitivity.answers import GlobalRow, LocalEntry, SensitivityAnswer
 from tilth.analysis.sensitivity.dask_batches import Certificates, DaskProblem, caution, on_dask
 from tilth.analysis.sensitivity.designs import (
     DISSERTATION,
@@ -31,14 +32,14 @@ from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.outputs import SIX
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, run
-from tilth.cli import WrongUse, saying, whole
+from tilth.cli import WrongUse, add_processes, at_least, say
 from tilth.cli.desk_options import check_name
 from tilth.cli.progress_bar import bars
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
 from tilth.schemas.machine import Log
 
-_say = saying("sensitivity")
+_say = partial(say, "sensitivity")
 
 FEWEST: Final = 100  # points
 
@@ -54,7 +55,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--points",
-        type=whole(FEWEST),
+        type=at_least(FEWEST),
         metavar="N",
         help="with --global: so many random rigs of the box instead of the grid",
     )
@@ -90,9 +91,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         metavar=("CA", "CERT", "KEY"),
         help="with --dask tls://host:8786: certificates, PEM files of the authority and of this end",
     )
-    parser.add_argument(
-        "--workers", type=whole(1), metavar="N", help="processes (as many as there are cores)"
-    )
+    add_processes(parser, "--workers")
 
 
 def design_of(args: argparse.Namespace) -> Design | None:
@@ -162,7 +161,7 @@ def _check_room() -> None:
         )
 
 
-def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse.Namespace) -> None:
+def add_answers(answer: SensitivityAnswer, rig: Rig, design: Design, args: argparse.Namespace) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
     parts = _parts(args)
     answer["design"] = described(design)
@@ -177,14 +176,14 @@ def add_answers(answer: dict[str, Any], rig: Rig, design: Design, args: argparse
             try:
                 _check_room()
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
-                entry |= global_answer(plan, part)
+                entry.update(cast("LocalEntry", global_answer(plan, part)))
                 if args.indices:
                     with_indices(entry, indices_answer(plan, entry["outputs"], args.workers))
             except (ValueError, DaskProblem) as error:
                 raise WrongUse(str(error)) from None
 
 
-def show_global(console: Console, entry: Mapping[str, Any]) -> None:
+def show_global(console: Console, entry: LocalEntry) -> None:
     """To a terminal."""
     title = f"over {entry['points']} rigs at {entry['speed']:g} m/s, {entry['model']} model"
     table = RichTable(title=title, title_justify="left")
@@ -204,7 +203,7 @@ def show_global(console: Console, entry: Mapping[str, Any]) -> None:
         console.print(f"{entry['unstable_domain']['text']}.")
 
 
-def _indices_table(output: str, rows: Mapping[str, Any]) -> RichTable:
+def _indices_table(output: str, rows: Mapping[str, GlobalRow]) -> RichTable:
     table = RichTable(title=f"what makes the variance of {output}", title_justify="left")
     for heading in ("", "Sobol', first order", "Sobol', total", "Morris", "bound by derivatives"):
         table.add_column(heading, justify="right" if heading else "left")

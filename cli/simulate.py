@@ -6,24 +6,26 @@ import json
 import math
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 
 from rich.console import Console
 
-from tilth.cli import WrongUse, say_unusual, saying
+from tilth.cli import WrongUse, say, say_unusual
 from tilth.cli.progress_bar import bars
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.readable import reason_of
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import CannotBeDriven, Scenario, ScenarioError, check_mounts, parse_scenario
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
-_say = saying("simulate")
+_say = partial(say, "simulate")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -66,8 +68,7 @@ def run(args: argparse.Namespace) -> int:
         except ValueError as error:
             raise _not_driven(args.scenario, error) from None
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            _say(f"{error.filename or args.out}: {reason}")
+            _say(f"{error.filename or args.out}: {reason_of(error)}")
             return 1
     _tell(source, simulated, args.json)
     return 0
@@ -130,7 +131,7 @@ def _source(args: argparse.Namespace) -> SimulationInput:
     except ScenarioError as error:
         raise WrongUse(f"{args.scenario}: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
-        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "not UTF-8 text"
+        reason = reason_of(error) if isinstance(error, OSError) else "not UTF-8 text"
         raise WrongUse(
             f"{args.scenario}: cannot be read ({reason}); give a scenario file, as in examples/scenarios"
         ) from None

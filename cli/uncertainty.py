@@ -5,26 +5,26 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table as RichTable
 
 from tilth.analysis.runs.run import Run, open_runs
+from tilth.analysis.sensitivity.answers import UncertaintyAnswer, UncertaintyData
 from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to, uncertainty_report
-from tilth.cli import WrongUse, say_unusual, saying, whole
+from tilth.cli import WrongUse, as_given, at_least, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
     add_simulation,
     after,
     between,
     check_name,
-    check_out,
     made_by,
     names,
     share,
@@ -37,7 +37,7 @@ from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 
-_say = saying("uncertainty")
+_say = partial(say, "uncertainty")
 
 FEWEST_DRAWS = 100
 _UNITS = {output.name: output.unit for output in OUTPUTS}
@@ -101,7 +101,7 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
     add_input(parser)
     parser.add_argument(
         "--draws",
-        type=whole(FEWEST_DRAWS),
+        type=at_least(FEWEST_DRAWS),
         default=DRAWS,
         metavar="N",
         help=f"rigs that are drawn at each speed ({DRAWS})",
@@ -120,20 +120,19 @@ def run(args: argparse.Namespace) -> int:
             raise WrongUse("the machine file says of nothing how well it is known; give --sd NAME=SD")
         if sys.stderr.isatty():
             _say("computing; this may take a minute")
-        answer: dict[str, Any] = {
-            "machine": machine.machine.name, **uncertainty_answer(known, _question(args))
-        }  # fmt: skip
+        answer = uncertainty_answer(known, _question(args))
     except ValueError as error:
         raise WrongUse(str(error)) from None
     for one in answer["refused"]:
         _say(one["reason"])
     if args.json:
-        print(json.dumps(answer, allow_nan=False))
+        print(json.dumps({"machine": machine.name, **answer}, allow_nan=False))
     elif args.out is None:
-        _show(answer)
+        _show(machine.name, answer)
     status = 1 if answer["refused"] else 0
     if args.out is not None:
-        data = {
+        data: UncertaintyData = {
+            "machine": machine.name,
             **answer,
             "command": command("uncertainty", *_words(args)),
             "made": made_by(machine, text),
@@ -216,21 +215,15 @@ def _question(args: argparse.Namespace) -> UncertaintyQuestion:
 
 def _words(args: argparse.Namespace) -> list[str]:
     """The command line, as it would be given again."""
-    words = [str(args.machine)]
-    if args.log is not None:
-        words += ["--from", str(args.log)]
-    for option in ("sd", "correlation", "want", "speed", "model", "outputs"):
-        for value in getattr(args, option) or []:
-            words += [f"--{option}", f"{value:g}" if isinstance(value, float) else value]
-    words += ["--input", args.input] if args.input != STEP else []
-    if args.seconds is not None:
-        words += ["--seconds", f"{args.seconds:g}"]
-    return [*words, "--draws", str(args.draws), "--out", str(args.out)]
+    options = "from=log", "sd", "correlation", "want", "speed", "model", "outputs"
+    words = [str(args.machine), *as_given(args, *options)]
+    words += as_given(args, "input") if args.input != STEP else []
+    return words + as_given(args, "seconds", "draws", "out")
 
 
-def _show(answer: Mapping[str, Any]) -> None:
+def _show(name: str, answer: UncertaintyAnswer) -> None:
     console = Console(highlight=False)
-    console.print(f"{answer['machine']}, with what {answer['source']} knows, {after(answer['input'])}")
+    console.print(f"{name}, with what {answer['source']} knows, {after(answer['input'])}")
     for entry in answer["speeds"]:
         title = f"{entry['speed']:g} m/s, {entry['model']} model, {entry['seconds']:.3g} s"
         table = RichTable(title=title, title_justify="left")

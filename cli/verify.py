@@ -4,12 +4,12 @@ import argparse
 import json
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
 
 from tilth.cli import WrongUse
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Coverage, RunSurvey, survey
 from tilth.schemas.flow import EventKind
+from tilth.schemas.readable import reason_of
 
 MOST_GAPS = 3
 STEPPED = "clock_stepped"  # a fault that the steps themselves tell
@@ -32,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         found = survey(args.logs)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise WrongUse(f"{error.filename}: {reason}; give the files of a run") from None
+        raise WrongUse(f"{error.filename}: {reason_of(error)}; give the files of a run") from None
     if args.json:
         print(json.dumps([_plain(one) for one in found], indent=1))
     else:
@@ -48,21 +47,18 @@ def _lines(one: RunSurvey) -> list[str]:
         return one.wrong or [f"{one.files[0].name}: is being written; nothing is in it yet"]
     files = _many(len(one.files), "file")
     lines = [f"{name}: {files}, {size:.1f} MB, {one.duration_s:.1f} s from {_utc(one, one.first_ns)}"]
-    if one.note:
-        lines.append(f"  note: {one.note}")
+    lines += [f"  note: {one.note}"] * bool(one.note)
     lines += [f"  {_name(topic):<18} {_words(one, coverage)}" for topic, coverage in one.coverage.items()]
     lines += [f"  {fault}: {count}" for fault, count in one.faults.items() if fault.reason != STEPPED]
-    if one.backwards:
-        lines.append(f"  the log's time runs back {one.backwards} times")
-    for step_s in one.steps_s:
-        lines.append(f"  the computer's clock was set by {step_s:+.3f} s; the log's own went on evenly")
+    lines += [f"  the log's time runs back {one.backwards} times"] * bool(one.backwards)
+    lines += [
+        f"  the computer's clock was set by {s:+.3f} s; the log's own went on evenly" for s in one.steps_s
+    ]
     lines.append(f"  UTC {_utc_source(one)}")
     lines += [f"  {_utc(one, e.t_ns)} mark: {e.text}" for e in one.events if e.kind == EventKind.MARK]
     lines += [f"  WRONG: {what}" for what in one.wrong]
-    if one.goes_on_in:
-        lines.append(f"  goes on in {one.goes_on_in}, which was not read")
-    if one.being_written:
-        lines.append("  being written: read as far as it was on the disk")
+    lines += [f"  goes on in {one.goes_on_in}, which was not read"] * bool(one.goes_on_in)
+    lines += ["  being written: read as far as it was on the disk"] * one.being_written
     lines.append("  whole, nothing dropped" if one.good else "  NOT ALL IS THERE")
     return lines
 
@@ -103,10 +99,10 @@ def _utc(one: RunSurvey, t_ns: int) -> str:
     return utc_text(t_ns + one.utc_minus_ns)
 
 
-def _plain(one: RunSurvey) -> dict[str, Any]:
+def _plain(one: RunSurvey) -> dict[str, object]:
     """Keys are those of docs/logs.md: the coverage of each topic stands under `heard`."""
     published = {"coverage": "heard"}
-    plain: dict[str, Any] = {
+    plain: dict[str, object] = {
         published.get(each.name, each.name): getattr(one, each.name) for each in fields(one)
     }
     plain["files"] = [str(path) for path in one.files]
@@ -119,6 +115,6 @@ def _plain(one: RunSurvey) -> dict[str, Any]:
     return plain | {"began": began, "duration_s": one.duration_s, "good": one.good}
 
 
-def _coverage_json(coverage: Coverage) -> dict[str, Any]:
+def _coverage_json(coverage: Coverage) -> dict[str, object]:
     """`gaps`: [t_ns, s] of each."""
     return asdict(coverage) | {"longest_gap_s": max((length for _, length in coverage.gaps), default=0.0)}

@@ -117,22 +117,25 @@ def _parameter(row: pb.Parameter, i: int, covariance: Sequence[float], wrong: st
         return _invalid(f"status {row.status} is not known here")
     status = Status(row.status)
     reason = _reason(row.why, row.reason)
-    if status is Status.ESTIMATED:
-        low, high = _RANGE[row.name]
-        if value is None or not low <= value <= high:  # not a number is in no range
-            wrong_with_it = f"its value is {value}; a rig has {low:g} to {high:g}"
-        elif sd is None or not (math.isfinite(sd) and sd > 0):
-            wrong_with_it = f"its standard deviation is {sd}"
-        elif wrong:
-            wrong_with_it = wrong
-        elif covariance[i * _N + i] <= 0:
-            wrong_with_it = "it has no variance"
-        elif age_s is not None and not age_s >= 0:
-            wrong_with_it = f"its age is {age_s}"
-        else:
-            return ParameterEstimate(value, sd, status, reason, age_s)
-        return _invalid(wrong_with_it)
-    return ParameterEstimate(value, sd, status, reason or text_reason("no reason is given"), age_s)
+    if status is not Status.ESTIMATED:
+        reason = reason or text_reason("no reason is given")
+    elif fault := _fault(row, wrong or ("" if covariance[i * _N + i] > 0 else "it has no variance")):
+        return _invalid(fault)
+    return ParameterEstimate(value, sd, status, reason, age_s)
+
+
+def _fault(row: pb.Parameter, of_covariance: str) -> str:
+    """What is wrong with an estimate that says that it may be used."""
+    low, high = _RANGE[row.name]
+    value = row.value if row.HasField("value") else None
+    sd = row.sd if row.HasField("sd") else None
+    if value is None or not low <= value <= high:  # not a number is in no range
+        return f"its value is {value}; a rig has {low:g} to {high:g}"
+    if sd is None or not (math.isfinite(sd) and sd > 0):
+        return f"its standard deviation is {sd}"
+    if of_covariance:
+        return of_covariance
+    return f"its age is {row.age_s}" if row.HasField("age_s") and not row.age_s >= 0 else ""
 
 
 def _invalid(why: str) -> ParameterEstimate:

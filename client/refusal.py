@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from tilth.client.link import open_session
 from tilth.schemas.invocation import command
+from tilth.schemas.readable import reason_of
 
 WAIT_S: Final = 2.0
 _ALERT_S: Final = 0.7  # a refusal comes after the handshake, and at once
@@ -78,7 +79,7 @@ def _content(path: Path) -> dict[str, Any]:
         if complete and content["connect"]["endpoints"]:
             return content
     except OSError as error:
-        raise ValueError(f"{path}: {(error.strerror or str(error)).lower()}") from None
+        raise ValueError(f"{path}: {reason_of(error)}") from None
     except (ValueError, LookupError, TypeError, AttributeError):
         pass
     raise ValueError(f"{path}: no key of a person or program that `{command('keys')}` has made")
@@ -109,7 +110,7 @@ def _handshake(endpoint: str, tls: dict[str, str]) -> str:
             f"refused: {reason.lower()}",
         )
     except OSError as error:
-        return f"not reached: {(error.strerror or str(error)).lower()}"
+        return f"not reached: {reason_of(error)}"
     return ""
 
 

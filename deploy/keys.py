@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.deploy.certificates import HostError, issue, new_authority
+from tilth.schemas.readable import reason_of
 
 DAEMON: Final = "daemon"
 ROLES: Final = ("operator", "reader")
@@ -143,13 +144,12 @@ def read_register(folder: Path) -> Register:
         hosts, revoked = tuple(register["hosts"]), tuple(register["revoked"])
         return Register(register["machine"], register["prefix"], hosts, register["port"], parties, revoked)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise KeysError(f"{path}: {reason}; make keys first, with --machine and --host") from None
+        raise KeysError(f"{path}: {reason_of(error)}; make keys first, with --machine and --host") from None
     except (ValueError, LookupError, TypeError):
         raise KeysError(f"{path}: not written by tilth keys; name the folder that is") from None
 
 
-def access_control(register: Register) -> dict[str, Any]:
+def access_control(register: Register) -> dict[str, object]:
     """Zenoh's access control for the daemon's session: readers hear, operators give orders as well."""
     keys = [f"{register.base}/**"]
     rules = [
@@ -179,12 +179,14 @@ def access_control(register: Register) -> dict[str, Any]:
     }
 
 
-def _rule(name: str, permission: str, messages: Sequence[str], flow: str, keys: list[str]) -> dict[str, Any]:
+def _rule(
+    name: str, permission: str, messages: Sequence[str], flow: str, keys: list[str]
+) -> dict[str, object]:
     what = {"id": name, "permission": permission, "messages": list(messages)}
     return {**what, "flows": [flow], "key_exprs": keys}
 
 
-def _daemon_content(authority: tuple[bytes, bytes], register: Register) -> dict[str, Any]:
+def _daemon_content(authority: tuple[bytes, bytes], register: Register) -> dict[str, object]:
     try:
         key, certificate = issue(authority, DAEMON, ("127.0.0.1", "localhost", *register.hosts), None)
     except HostError as error:
@@ -227,7 +229,9 @@ def _issue_parties(
     return [*written, _write_daemon(folder, register, _plain(folder / "daemon.json"))]
 
 
-def _party_content(ca: bytes, pair: tuple[bytes, bytes], register: Register, party: Party) -> dict[str, Any]:
+def _party_content(
+    ca: bytes, pair: tuple[bytes, bytes], register: Register, party: Party
+) -> dict[str, object]:
     tls = {
         "root_ca_certificate_base64": _text(ca),
         "connect_private_key_base64": _text(pair[0]),
@@ -265,7 +269,7 @@ def _text(pem: bytes) -> str:
 
 
 def _plain(path: Path) -> dict[str, Any]:
-    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    content: dict[str, object] = json.loads(path.read_text(encoding="utf-8"))
     return content
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.readable import reason_of
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
 _ANSI = "cp1252"  # as most tools for DBC files write them
@@ -58,9 +59,8 @@ def _text(path: Path, what: str, otherwise: str = "") -> str:
     try:
         raw = path.read_bytes()
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
         raise MachineError(
-            f"{path}: the {what} cannot be read ({reason}); give the path of one that exists"
+            f"{path}: the {what} cannot be read ({reason_of(error)}); give the path of one that exists"
         ) from None
     if raw.startswith(_LOG_STARTS):
         raise MachineError(f"{path}: a log, not a {what}; to read it: {command('replay', str(path))}")

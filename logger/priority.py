@@ -3,6 +3,8 @@
 import os
 from typing import Final
 
+from tilth.schemas.readable import reason_of
+
 FITS: Final = 10  # niceness; greater stands further behind
 COMPILING: Final = 5  # on a busy computer more would be for ever
 REPORTS: Final = 19
@@ -20,5 +22,5 @@ def stand_behind(niceness: int, process: int = 0) -> str:
     except ProcessLookupError:  # it has ended already, which is told elsewhere
         return ""
     except OSError as error:
-        return (error.strerror or str(error)).lower()
+        return reason_of(error)
     return ""

@@ -61,20 +61,21 @@ def row(estimate: Fields) -> tuple[list[float | None], list[float | None], list[
     width where one is missing, or where it is invalid."""
     n = len(PARAMETERS)
     covariance = estimate["log_covariance"]
-    values, within, statuses = [], [], []
-    for i, one in enumerate(estimate["parameters"]):
-        value, sd, status = one.get("value"), one.get("sd"), one["status"]
-        status = status if status in list(Status) else Status.INVALID
-        variance = covariance[i * n + i] if len(covariance) == n * n else None
-        log_sd = math.sqrt(variance) if variance is not None and variance > 0 else None
-        if value is not None and value > 0 and log_sd is None and sd:
-            log_sd = sd / value
-        if value is None or log_sd is None or not log_sd < WIDEST or status == Status.INVALID:
-            value = log_sd = None
-        values.append(None if value is None else short(value))
-        within.append(None if log_sd is None else short(WITHIN * log_sd))
-        statuses.append(int(status))
-    return values, within, statuses
+    variances = covariance[:: n + 1] if len(covariance) == n * n else [None] * len(estimate["parameters"])
+    rows = [_parameter(*pair) for pair in zip(estimate["parameters"], variances, strict=True)]
+    return [one[0] for one in rows], [one[1] for one in rows], [one[2] for one in rows]
+
+
+def _parameter(one: Fields, variance: float | None) -> tuple[float | None, float | None, int]:
+    """As of `row`. variance: of the logarithm, where it is known."""
+    value, sd, status = one.get("value"), one.get("sd"), one["status"]
+    status = int(status if status in list(Status) else Status.INVALID)
+    log_sd = math.sqrt(variance) if variance is not None and variance > 0 else None
+    if value is not None and value > 0 and log_sd is None and sd:
+        log_sd = sd / value
+    if value is None or log_sd is None or not log_sd < WIDEST or status == Status.INVALID:
+        return None, None, status
+    return short(value), short(WITHIN * log_sd), status
 
 
 def priors(rig: Fields) -> Fields:

@@ -110,34 +110,38 @@ def has_results(paths: Sequence[Path]) -> bool:
 
 def listing(run: CatalogueRun, prepared: Path | None = None) -> pb.RunListing:
     """What is told of a run. prepared: what a replay gave of it, where that is there. Raises OSError."""
-    glances = {path: glance(path) for path in run.paths if _is_mcap(path)}
-    row = pb.RunListing(name=run.name)
-    found = list(glances.values())
-    if prepared is not None and prepared.exists() and not any(one.pose for one in found):
+    own = [glance(path) for path in run.paths if _is_mcap(path)]
+    found, row = own, pb.RunListing(name=run.name)
+    if prepared is not None and prepared.exists() and not any(one.pose for one in own):
         found = [replace(glance(prepared), machine="", note="")]
-    elif not found:
-        row.state = "holds frames of another program: replayed when it is opened"
-    elif not any(one.pose for one in found):
-        row.state = "holds frames and no result: replayed when it is opened"
+    row.state = _state(own, found)
     dated = [one for one in found if one.last_ns]
     if dated:
         _tell_times(row, dated)
-    poses = [one.pose for one in found if one.pose is not None]
-    if poses:
-        row.latitude_deg, row.longitude_deg = poses[0].origin_latitude_deg, poses[0].origin_longitude_deg
-    estimates = [one.estimate for one in found if one.estimate is not None]
-    if estimates:
-        row.learned.CopyFrom(estimates[-1])
+    if pose := next((one.pose for one in found if one.pose is not None), None):
+        row.latitude_deg, row.longitude_deg = pose.origin_latitude_deg, pose.origin_longitude_deg
+    if estimate := next((one.estimate for one in reversed(found) if one.estimate is not None), None):
+        row.learned.CopyFrom(estimate)
     row.simulated = bool(simulated_by(run.paths))
-    row.machine = next((one.machine for one in glances.values() if one.machine), "")
-    row.notes.extend(dict.fromkeys([*(one.note for one in glances.values() if one.note), *run.notes]))
-    if any(one.state == FileState.BEING_WRITTEN for one in glances.values()):
-        row.state = "is being recorded now"
-    elif any(one.state == FileState.UNFINISHED for one in glances.values()):
-        row.state = "cut off: plays as far as it is whole"
-    elif any(one.state == FileState.DAMAGED for one in glances.values()):
-        row.state = "damaged: plays what can be read"
+    row.machine = next((one.machine for one in own if one.machine), "")
+    row.notes.extend(dict.fromkeys([*(one.note for one in own if one.note), *run.notes]))
     return row
+
+
+def _state(own: Sequence[Glance], found: Sequence[Glance]) -> str:
+    """What is to be said of a run. found: of the replayed log where its own holds no results."""
+    states = {one.state for one in own}
+    for state, words in (
+        (FileState.BEING_WRITTEN, "is being recorded now"),
+        (FileState.UNFINISHED, "cut off: plays as far as it is whole"),
+        (FileState.DAMAGED, "damaged: plays what can be read"),
+    ):
+        if state in states:
+            return words
+    if any(one.pose for one in found) or found is not own:
+        return ""
+    holds = "frames and no result" if own else "frames of another program"
+    return f"holds {holds}: replayed when it is opened"
 
 
 def _tell_times(row: pb.RunListing, dated: Sequence[Glance]) -> None:

@@ -1,13 +1,37 @@
 """The JSON of estimates, the same from a replay and from the demo."""
 
 from collections.abc import Mapping
+from typing import TypedDict
 
 from tilth.schemas.flow import PARAMETERS, Estimate
 from tilth.schemas.sentences import sentence
 
 
-def estimates_and_nuisances(estimates: Mapping[str, Estimate]) -> dict[str, object]:
-    """{"estimates": {method: {parameter: …}}, "nuisances": {method: {name: …}}}; N/rad, m, SI."""
+class ParameterEntry(TypedDict):
+    """N/rad or m; reason: why it is no estimate, in a sentence."""
+
+    value: float | None
+    sd: float | None
+    status: str
+    reason: str
+
+
+class NuisanceEntry(TypedDict):
+    """SI."""
+
+    value: float
+    sd: float
+
+
+class EstimatesJson(TypedDict):
+    """By method and name."""
+
+    estimates: dict[str, dict[str, ParameterEntry]]
+    nuisances: dict[str, dict[str, NuisanceEntry]]
+
+
+def estimates_and_nuisances(estimates: Mapping[str, Estimate]) -> EstimatesJson:
+    """Of each method."""
     return {
         "estimates": {method: _parameters(estimate) for method, estimate in estimates.items()},
         "nuisances": {
@@ -17,7 +41,7 @@ def estimates_and_nuisances(estimates: Mapping[str, Estimate]) -> dict[str, obje
     }
 
 
-def _parameters(estimate: Estimate) -> dict[str, object]:
+def _parameters(estimate: Estimate) -> dict[str, ParameterEntry]:
     return {
         name: {"value": p.value, "sd": p.sd, "status": p.status.name.lower(), "reason": sentence(p.reason)}
         for name, p in zip(PARAMETERS, estimate.parameters, strict=True)

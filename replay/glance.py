@@ -1,5 +1,6 @@
 """Summarises a log file without reading all of it: from its index, or else from the heads of its records."""
 
+import math
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterable, Iterator
@@ -210,14 +211,17 @@ def _look_into(chunks: _ChunkPlaces, found: Glance) -> None:
     for number in chunks.holding({"/event"}):
         found.events += _kinds(data for _, _, data in chunks.messages(number, {"/event"}))
     for topic in LAST:
-        for number in reversed(chunks.holding({topic})):
-            if rows := [data for _, _, data in chunks.messages(number, {topic})]:
-                _take_last(found, topic, rows[-1])
-                break
+        if (last := _last(chunks, topic)) is not None:
+            _take_last(found, topic, last)
     with_frames = chunks.holding(buses)[-1:]
     until_ns = max((t for number in with_frames for _, t, _ in chunks.messages(number, buses)), default=0)
-    for number in reversed(chunks.holding({"/status"})):
-        statuses = [data for _, t_ns, data in chunks.messages(number, {"/status"}) if t_ns <= until_ns]
-        if statuses:
-            found.sensors = _sensors(statuses[-1])
-            return
+    if (status := _last(chunks, "/status", until_ns)) is not None:
+        found.sensors = _sensors(status)
+
+
+def _last(chunks: _ChunkPlaces, topic: str, until_ns: float = math.inf) -> bytes | None:
+    """The last message of a topic until then."""
+    for number in reversed(chunks.holding({topic})):
+        if rows := [data for _, t_ns, data in chunks.messages(number, {topic}) if t_ns <= until_ns]:
+            return rows[-1]
+    return None

@@ -190,17 +190,15 @@ class _Run:
             self._say(f"{log.path}: {gap}")
 
     def _records(self, log: OpenLog, buses: Mapping[str, str]) -> None:
-        pace, progress, comparison = self._outputs.pace, self._outputs.progress, self._outputs.comparison
-        summary = self.summary
+        pace, progress, summary = self._outputs.pace, self._outputs.progress, self.summary
         time, before_ns = LogTime(), summary.duration_ns
         for record in on_buses_of(self._machine, log, buses, self._say):
             if self._anew and not isinstance(record, Gap):
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
                 log_time.take_stamp(time, record)
-                even_ns = (
-                    time.silent_ns if self.fitter.holds_outcomes else 0
-                )  # a clock of tilth's is never set
+                # A clock of tilth's is never set.
+                even_ns = time.silent_ns if self.fitter.holds_outcomes else 0
                 summary.duration_ns = before_ns + time.passed_ns + even_ns
                 if pace is not None:
                     pace(time.latest_ns)
@@ -208,21 +206,27 @@ class _Run:
                 self._frame(record)
                 if progress is not None and summary.frames % PROGRESS_FRAMES == 0:
                     progress(self._read_bytes + log.position())
-            elif isinstance(record, Snapshot):
-                self._snapshot(log, record)
-            elif isinstance(record, Gap):
-                self._gap(log, record)
-            elif record.topic == READY_TOPIC:
-                self._ready(log, record)
-            elif record.topic == ACCEPTED_TOPIC:
-                self._accept(record)
-            elif record.topic == ADDRESSES_TOPIC:
-                self._recall(record, buses)
             else:
-                if comparison is not None:
-                    comparison.logged(record)
-                if record.topic == FIT_TOPIC:
-                    self._fit(record)
+                self._logged(log, record, buses)
+
+    def _logged(self, log: OpenLog, record: Snapshot | Gap | Logged, buses: Mapping[str, str]) -> None:
+        """What else stands in a log than frames."""
+        comparison = self._outputs.comparison
+        if isinstance(record, Snapshot):
+            self._snapshot(log, record)
+        elif isinstance(record, Gap):
+            self._gap(log, record)
+        elif record.topic == READY_TOPIC:
+            self._ready(log, record)
+        elif record.topic == ACCEPTED_TOPIC:
+            self._accept(record)
+        elif record.topic == ADDRESSES_TOPIC:
+            self._recall(record, buses)
+        else:
+            if comparison is not None:
+                comparison.logged(record)
+            if record.topic == FIT_TOPIC:
+                self._fit(record)
 
     def _gap(self, log: OpenLog, gap: Gap) -> None:
         """Messages are missing: what the fold was live from here on, the next stored state tells."""

@@ -26,6 +26,7 @@ from tilth.replay.recorded import Recorded
 from tilth.schemas.limiter import Limiter, asked_by
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.readable import reason_of
 
 TURN_S: Final = 0.02  # between two looks at what is due
 IDLE_S: Final = 0.25  # the same while nothing plays
@@ -303,7 +304,7 @@ class PlayerService:
                 listings.rows.append(row)
             _reply(query, listings.SerializeToString(), pb.RunListings)
         except OSError as error:
-            _refuse(query, f"{error.filename or 'the logs'}: {(error.strerror or str(error)).lower()}")
+            _refuse(query, f"{error.filename or 'the logs'}: {reason_of(error)}")
         finally:
             self._list_limiter.leave(client)
 
@@ -313,7 +314,7 @@ def _why(error: Exception, run: str) -> str:
     if isinstance(error, LogError | MachineError):
         return str(error)
     if isinstance(error, OSError):
-        return f"{error.filename or run}: {(error.strerror or str(error)).lower()}"
+        return f"{error.filename or run}: {reason_of(error)}"
     return f"{run}: cannot be played ({type(error).__name__}: {error})"
 
 

@@ -98,30 +98,35 @@ def survey(paths: Iterable[Path]) -> list[RunSurvey]:
     """Read and check every byte; a RunSurvey of each run, in the order given. Raises OSError."""
     runs: dict[str, tuple[RunSurvey, _Reading]] = {}
     for path in paths:
-        metadata, clocks = dict[str, Mapping[str, str]](), list[Mapping[str, str]]()
-        one, reading = None, _Reading()
-        if path.exists() and not path.is_file() and not path.is_dir():  # a pipe would be waited for
-            raise OSError(errno.EINVAL, "a pipe or a device", str(path))
-        with path.open("rb") as file:
-            being_written = is_being_written(file)
-            records = _FileReading(file, path.stat().st_size, being_written)
-            for topic, row in records:
-                if isinstance(row, Metadata):
-                    metadata.setdefault(row.name, row.metadata)
-                    clocks += [row.metadata] if row.name == "clock" else []
-                    continue
-                if one is None:  # who wrote it has said all before its first message
-                    one, reading = _run_of(runs, path, metadata)
-                _take(one, reading, topic, *row)
-        if one is None:
-            one, reading = _run_of(runs, path, metadata)
-        one.being_written |= being_written
-        one.wrong += [f"{path.name}: {what}" for what in records.wrong]
-        reading.clocks += clocks
-        reading.ended = clocks[-1].get("why", "") if clocks else ""
+        _read(path, runs)
     for one, reading in runs.values():
         _conclude(one, reading)
     return [one for one, _ in runs.values()]
+
+
+def _read(path: Path, runs: dict[str, tuple[RunSurvey, _Reading]]) -> None:
+    """A file, into the run that it is of."""
+    metadata, clocks = dict[str, Mapping[str, str]](), list[Mapping[str, str]]()
+    one, reading = None, _Reading()
+    if path.exists() and not path.is_file() and not path.is_dir():  # a pipe would be waited for
+        raise OSError(errno.EINVAL, "a pipe or a device", str(path))
+    with path.open("rb") as file:
+        being_written = is_being_written(file)
+        records = _FileReading(file, path.stat().st_size, being_written)
+        for topic, row in records:
+            if isinstance(row, Metadata):
+                metadata.setdefault(row.name, row.metadata)
+                clocks += [row.metadata] if row.name == "clock" else []
+                continue
+            if one is None:  # who wrote it has said all before its first message
+                one, reading = _run_of(runs, path, metadata)
+            _take(one, reading, topic, *row)
+    if one is None:
+        one, reading = _run_of(runs, path, metadata)
+    one.being_written |= being_written
+    one.wrong += [f"{path.name}: {what}" for what in records.wrong]
+    reading.clocks += clocks
+    reading.ended = clocks[-1].get("why", "") if clocks else ""
 
 
 _Row = Metadata | tuple[int, bytes]
@@ -233,23 +238,25 @@ def _conclude(one: RunSurvey, reading: _Reading) -> None:
     last_ns = max((times[-1] for times in buses), default=one.last_ns)
     for topic, times in sorted(reading.times.items()):
         one.coverage[topic] = _coverage_of(np.array([first_ns, *times, last_ns]))
-    for status in reading.statuses[:1]:
-        for mount in (receiver.mount for receiver in status.receivers):
-            if f"{GNSS}{mount}" not in one.coverage:
-                one.coverage[f"{GNSS}{mount}"] = Coverage(0, 0.0, ())
-        one.coverage.setdefault(WHEEL, Coverage(0, 0.0, ()))
     if reading.statuses:
+        for topic in (*(f"{GNSS}{receiver.mount}" for receiver in reading.statuses[0].receivers), WHEEL):
+            one.coverage.setdefault(topic, Coverage(0, 0.0, ()))
         one.faults = _counted(reading.statuses[-1])
         if reading.statuses[0].uptime_s > YOUNG_S:
             one.faults -= _counted(reading.statuses[0])
     _clocks(one, reading.clocks)
     if reading.ended == ClockReason.ROTATION:
-        run, part = one.files[-1].name.rpartition("_")[0], one.parts[-1]
-        following = one.files[-1].with_name(file_name(run, part + 1))
-        if following.exists():  # it may have begun since the files to be read were named
-            one.goes_on_in = following.name
-        else:
-            one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
+        _look_on(one)
+
+
+def _look_on(one: RunSurvey) -> None:
+    """For the part that follows the last one."""
+    run, part = one.files[-1].name.rpartition("_")[0], one.parts[-1]
+    following = one.files[-1].with_name(file_name(run, part + 1))
+    if following.exists():  # it may have begun since the files to be read were named
+        one.goes_on_in = following.name
+    else:
+        one.wrong.append(f"part {part} is not the last one; what comes after it is not here")
 
 
 def _coverage_of(times: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> Coverage:

@@ -342,7 +342,7 @@ class Decoder:
         head = (t_ns, rx_ns, self._claimant(sender, payload), _CLAIM.pgn, None)
         found.append(AddressClaim(*head, manufacturer, identity))
 
-    def dump(self) -> dict[str, Any]:
+    def dump(self) -> dict[str, object]:
         """Everything that later frames' decoding depends on, ready for JSON."""
         return {
             "rejected": dict(self.rejected),

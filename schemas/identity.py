@@ -402,7 +402,7 @@ class AddressBook:
                 return self._by_source.get((bus, source)) not in (None, self.mount_of(bus, left.name))
         return False
 
-    def dump(self) -> dict[str, Any]:
+    def dump(self) -> dict[str, object]:
         """Claims and what depends on them, for JSON."""
         return {
             "buses": {bus: _dump_bus(book) for bus, book in self._buses.items()},
@@ -454,7 +454,7 @@ def _fits(receiver: Receiver, name: int) -> bool:
     return receiver.name is None and receiver.manufacturer in (None, split_name(name).manufacturer)
 
 
-def _dump_bus(book: _Bus) -> dict[str, Any]:
+def _dump_bus(book: _Bus) -> dict[str, object]:
     return {
         "holder": {str(source): f"{name:016X}" for source, name in book.holder.items()},
         "contests": {

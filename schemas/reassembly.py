@@ -205,7 +205,7 @@ class Assembler:
         slot.data.clear()
         return Assembled(slot.pgn, payload, slot.t_ns, slot.rx_ns)
 
-    def dump(self) -> list[dict[str, Any]]:
+    def dump(self) -> list[dict[str, object]]:
         """What is on its way, for JSON."""
         return [
             {

@@ -238,7 +238,7 @@ def _interval(estimate: Estimate | None, i: int) -> tuple[float, float] | None:
     return interval(value, log_sd)
 
 
-def result(demo: Demo) -> dict[str, Any]:
+def result(demo: Demo) -> dict[str, object]:
     """What `tilth demo --json` says: that of a replay, with truth and the fate of the frames."""
     summary = demo.summary
     first, last = summary.first_frame_ns, summary.last_frame_ns

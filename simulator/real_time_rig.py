@@ -10,7 +10,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from tilth.logger.clock import Clock
 from tilth.schemas.flow import Frame
@@ -26,7 +26,7 @@ from tilth.simulator.tractor import COMPILED_FROM, Setting
 BEHIND_NS: Final = 200_000_000  # later than this against the clock, the run is told to be late
 TELL_S: Final = 0.1
 
-Tell = Callable[[dict[str, Any]], None]
+Tell = Callable[[dict[str, object]], None]
 
 
 class RunStopped(Exception):
@@ -69,7 +69,7 @@ class RealTime:
             self.tell({"at_s": round(now, 3), "implement": [round(v, 4) for v in self.driver.implement()]})
         return [(one.can_id, one.data) for one in received if one.extended]
 
-    def commands(self) -> dict[str, Any]:
+    def commands(self) -> dict[str, object]:
         """What became of the commands so far; refusals in a person's words."""
         if self.driver is None:
             return {}
@@ -126,7 +126,7 @@ def main() -> None:
             continue
 
 
-def _tell(fact: dict[str, Any]) -> None:
+def _tell(fact: dict[str, object]) -> None:
     sys.stdout.write(json.dumps(fact) + "\n")
     sys.stdout.flush()
 

@@ -245,7 +245,7 @@ def _write_truth(
             stream.write(row % (t_ns_at(at_s), *numbers))
 
 
-def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) -> dict[str, Any]:
+def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) -> dict[str, object]:
     """All of LOG.truth.json."""
     return {
         "purpose": source.scenario.purpose,
@@ -278,7 +278,7 @@ def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) 
     }
 
 
-def _space(truth: Truth) -> dict[str, Any]:
+def _space(truth: Truth) -> dict[str, object]:
     """What the rig of a spatial run is made of, as drawn."""
     if truth.space is None:
         return {}
@@ -286,11 +286,11 @@ def _space(truth: Truth) -> dict[str, Any]:
     return {"vehicle": {**vehicle._asdict(), "masses": vehicle.masses._asdict()}}
 
 
-def _events(truth: Truth) -> Iterator[dict[str, Any]]:
+def _events(truth: Truth) -> Iterator[dict[str, object]]:
     """What happens to receivers and soil, each with the times of its beginning and end on the log's clock."""
     end_s, t_ns_at = float(truth.time[-1]), host_clock(truth)
 
-    def event(what: str, start_s: float, until_s: float, **more: Any) -> dict[str, Any]:
+    def event(what: str, start_s: float, until_s: float, **more: Any) -> dict[str, object]:
         times = {"t_ns": t_ns_at(start_s), "end_ns": t_ns_at(min(until_s, end_s))}
         return {"what": what, **times, **more}
 

@@ -81,19 +81,18 @@ def read(
     earlier: tuple[Path, int] | None = None
     whole, before = sum(path.stat().st_size for path in paths), 0
     for path in paths:
-        log, frames = open_log(path), heard.frames
+        log = open_log(path)
         heard.last_at = None
         with log.file:
-            for record in on_buses_of(machine, log, buses, say):
-                if isinstance(record, Frame):
-                    if earlier is not None and heard.frames == frames:
-                        _check_order(path, earlier, record.t_ns)
-                    _take(heard, decoder, record)
-                    if heard.frames % SHOWN_EVERY == 0:
-                        progress(before + log.position(), whole)
-        if not (growing and path == paths[-1]):
-            for text in log.lacks():
-                say(f"{path}: {text}")
+            frames = (r for r in on_buses_of(machine, log, buses, say) if isinstance(r, Frame))
+            for number, frame in enumerate(frames):
+                if earlier is not None and not number:
+                    _check_order(path, earlier, frame.t_ns)
+                _take(heard, decoder, frame)
+                if heard.frames % SHOWN_EVERY == 0:
+                    progress(before + log.position(), whole)
+        for text in log.lacks() if not (growing and path == paths[-1]) else ():
+            say(f"{path}: {text}")
         if heard.last_at is None and len(paths) > 1:
             say(f"{path.name} does not count: {NO_RECEIVER}")
         before += log.size

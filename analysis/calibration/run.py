@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from tilth.estimator.calibration.calibrate import (
     Calibration,
     CannotCalibrate,
     calibrate,
-    look,
     tractor_motion,
 )
 from tilth.estimator.calibration.calibrated_file import calibrated_machine
@@ -90,7 +89,7 @@ class Calibrated:
         """How the wheels follow an automatic steering, a sentence."""
         return self.steering if isinstance(self.steering, str) else self.steering.words
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Plain data, SI."""
         return {
             "machine": self.machine.name,
@@ -154,7 +153,7 @@ def calibrate_logs(
     try:
         found = calibrate(described, heard.measurements, later)
     except CannotCalibrate as error:
-        better = _reread(machine, heard, error)
+        better = reread(machine, heard, error)
         if better is None:
             raise CannotCalibrate(" ".join([f"{error}.", *_notes(heard)]), error.faults) from None
         described, fault, others = better
@@ -198,23 +197,7 @@ def steering(heard: LogHeard, told: Machine, changes: Changes) -> SteeringRespon
     return respond(orders, t, wheel, told.wheel_angle.delay)
 
 
-def look_at_logs(
-    paths: Sequence[Path], machine: Machine, buses: Mapping[str, str], say: Say
-) -> list[RigFault]:
-    """What is structurally wrong, without the numbers. Raises as `calibrate_logs`."""
-    heard = read(paths, machine, buses, say, lambda done, of: None)
-    try:
-        return look(machine, heard.measurements)
-    except CannotCalibrate as error:
-        better = _reread(machine, heard, error)
-        if better is None:
-            raise
-        described, fault, _ = better
-        again = read(paths, described, buses, lambda text: None, lambda done, of: None)
-        return [fault, *look(described, again.measurements)]
-
-
-def _reread(
+def reread(
     machine: Machine, heard: LogHeard, error: CannotCalibrate
 ) -> tuple[Machine, RigFault, list[str]] | None:
     """The machine file with the message or word that is the wheel angle, what was wrong, and runners-up.

@@ -8,7 +8,7 @@ are chosen that are best together.
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.random import default_rng
@@ -184,7 +184,12 @@ def _best(known: Known, wanted: WantedPlan, kind: str) -> BestRun:
     found = start
     if numbers:
         simplex = np.vstack([start, start + 0.4 * np.eye(len(numbers))])
-        options: dict[str, Any] = {"maxfev": TRIES, "initial_simplex": simplex, "xatol": 0.1, "fatol": 0.005}
+        options: dict[str, object] = {
+            "maxfev": TRIES,
+            "initial_simplex": simplex,
+            "xatol": 0.1,
+            "fatol": 0.005,
+        }
         found = np.asarray(minimize(worst, start, method="Nelder-Mead", options=options).x)
     return _after(known, wanted, made(found), alone=False)
 

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from tilth.analysis.runs.table import Table
 from tilth.replay.readers.arrays import frame_parts
 from tilth.replay.readers.log import EmptyLog
 from tilth.schemas.frame_columns import FrameColumns
-from tilth.schemas.readable import readable
+from tilth.schemas.readable import readable, reason_of
 
 CLOCK: Final = "clock"  # the file of all channels
 ABOUT: Final = "export.json"
@@ -132,9 +132,8 @@ def _unfinished(folder: Path) -> Iterator[Path]:
         except PermissionError:
             raise
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
             raise ExportError(
-                f"{folder.parent}: no folder can be made in it ({reason}); give another"
+                f"{folder.parent}: no folder can be made in it ({reason_of(error)}); give another"
             ) from None
         yield place
         if folder.exists():
@@ -151,7 +150,7 @@ def _unfinished(folder: Path) -> Iterator[Path]:
 class _Files:
     """The files of a run, each made when the first rows come."""
 
-    def __init__(self, plan: ExportPlan, place: Path, facts: dict[str, Any]) -> None:
+    def __init__(self, plan: ExportPlan, place: Path, facts: dict[str, object]) -> None:
         self._plan, self._place, self._facts = plan, place, facts
         self._open: dict[str, TableFile] = {}
         self._columns: dict[str, Sequence[ExportColumn]] = {}
@@ -179,7 +178,7 @@ class _Files:
         for file in self._open.values():
             file.abandon()
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         return {
             name: {"rows": rows, "columns": described(self._columns[name])}
             for name, rows in self.rows.items()

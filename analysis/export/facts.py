@@ -1,7 +1,6 @@
 """What is said of an export: where it comes from, what it was made with, what its columns are."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from tilth.analysis.export.columns import FRAMES, ExportColumn
 from tilth.analysis.runs.kept import sha256_of
@@ -10,7 +9,7 @@ from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.readable import readable
 
 
-def facts_of(run: Run) -> dict[str, Any]:
+def facts_of(run: Run) -> dict[str, object]:
     """Plain data, the same for all files of a run. Raises OSError."""
     text, dbc = run.machine_text, run.machine.wheel_angle.dbc_text
     machine = {"toml": text, "sha256": machine_sha256(run.machine, text)} | ({"dbc": dbc} if dbc else {})

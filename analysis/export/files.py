@@ -236,7 +236,7 @@ class MatFile:
         )
 
     def close(self) -> None:
-        whole: dict[str, Any] = {}
+        whole: dict[str, object] = {}
         for name, parts in self._parts.items():
             whole[name] = np.concatenate(parts)
             parts.clear()

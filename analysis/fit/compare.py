@@ -5,13 +5,15 @@ data or the errors of one machine, they differ less than the intervals say.
 """
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc  # scipy.stats takes a second to import
 
+from tilth.analysis.fit.result import FitAnswer, JointAnswer
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import interval
 
@@ -57,62 +59,56 @@ class FitComparison:
         return self.p < BEYOND or any(one.beyond_chance for one in rows)
 
 
-def compare(first: dict[str, Any], second: dict[str, Any]) -> FitComparison:
+def compare(first: FitAnswer, second: FitAnswer) -> FitComparison:
     """first, second: as result.as_json gives them. Raises NotComparable."""
-    for which, answer in (("first", first), ("second", second)):
-        if not answer.get("joint"):
-            raise NotComparable(f"the {which} has no joint estimate: none of its segments told anything")
-    one, other = first["joint"], second["joint"]
-    both = [k for k, name in enumerate(PARAMETERS) if all(_value(a, name) is not None for a in (one, other))]
-    covariances = [np.array(a["log_covariance"], np.float64) for a in (one, other)]
-    whole: Array = covariances[0] + covariances[1]
-    change = np.array([math.log(_value(other, PARAMETERS[k]) / _value(one, PARAMETERS[k])) for k in both])
-    shared = set(one["nuisances"]) & set(other["nuisances"])
+    one, other = _joint(first, "first"), _joint(second, "second")
+    both = [name for name in PARAMETERS if _value(one, name) and _value(other, name)]
+    shared = [name for name in one["nuisances"] if name in other["nuisances"]]
     tried = len(both) + len(shared)
-    parameters = tuple(
-        _difference(PARAMETERS[k], _value(one, PARAMETERS[k]), _value(other, PARAMETERS[k]), float(by),
-                    math.sqrt(whole[k, k]), tried)
-        for k, by in zip(both, change, strict=True)
-    )  # fmt: skip
-    nuisances = tuple(
-        _difference(name, a["value"], b["value"], b["value"] - a["value"], _both(a["sd"], b["sd"]), tried)
-        for name, a in one["nuisances"].items()
-        if name in shared
-        for b in [other["nuisances"][name]]
-    )
-    found = float(change @ np.linalg.solve(whole[np.ix_(both, both)], change)) if both else 0.0
+    whole = np.array(one["log_covariance"], np.float64) + np.array(other["log_covariance"], np.float64)
+    at = [PARAMETERS.index(name) for name in both]
+    parameters, nuisances = list[Difference](), list[Difference]()
+    for name, k in zip(both, at, strict=True):
+        values = _value(one, name), _value(other, name)
+        ratio = values[1] / values[0]
+        parameters.append(_difference(name, values, math.log(ratio), math.sqrt(whole[k, k]), tried))
+    for name in shared:
+        a, b = one["nuisances"][name], other["nuisances"][name]
+        sd = math.hypot(a["sd"], b["sd"])  # of a difference of two independent numbers
+        nuisances.append(_difference(name, (a["value"], b["value"]), b["value"] - a["value"], sd, tried))
+    change = np.array([found.change for found in parameters])
+    found = float(change @ np.linalg.solve(whole[np.ix_(at, at)], change)) if both else 0.0
     p = float(chdtrc(len(both), found)) if both else 1.0
-    missing = tuple(name for k, name in enumerate(PARAMETERS) if k not in both)
+    missing = tuple(name for name in PARAMETERS if name not in both)
     reasons = (a["parameters"][name]["reason"] for name in missing for a in (one, other))
     why = next((f" ({reason})" for reason in reasons if reason), "")
-    sentence = _sentence(parameters, nuisances, found, len(both), p, why)
-    return FitComparison(parameters, nuisances, found, len(both), p, missing, sentence)
+    sentence = _sentence(parameters, nuisances, (found, len(both), p), why)
+    told = tuple(parameters), tuple(nuisances)
+    return FitComparison(*told, found, len(both), p, missing, sentence)
 
 
-def as_json(found: FitComparison) -> dict[str, Any]:
-    """As it stands in JSON."""
-    return asdict(found)
+def _joint(answer: FitAnswer, which: str) -> JointAnswer:
+    """Raises NotComparable."""
+    if not answer["joint"]:
+        raise NotComparable(f"the {which} has no joint estimate: none of its segments told anything")
+    return answer["joint"]
 
 
-def _both(sd: float, other: float) -> float:
-    """Of a difference of two independent numbers."""
-    return math.hypot(sd, other)
+def _value(joint: JointAnswer, name: str) -> float:
+    """0 where there is none."""
+    return joint["parameters"][name]["value"] or 0.0
 
 
-def _value(joint: dict[str, Any], name: str) -> Any:
-    return joint["parameters"][name]["value"]
-
-
-def _difference(name: str, first: float, second: float, change: float, sd: float, tried: int) -> Difference:
+def _difference(name: str, values: tuple[float, float], change: float, sd: float, tried: int) -> Difference:
     p = math.erfc(abs(change) / sd / math.sqrt(2.0)) if sd > 0.0 else float(change == 0.0)
-    return Difference(name, first, second, change, sd, p, p < BEYOND / tried)
+    return Difference(name, *values, change, sd, p, p < BEYOND / tried)
 
 
 def _sentence(
-    parameters: tuple[Difference, ...], nuisances: tuple[Difference, ...], found: float, dof: int, p: float,
-    why: str,
-) -> str:  # fmt: skip
-    """why: a parameter is not given by both."""
+    parameters: Sequence[Difference], nuisances: Sequence[Difference], six: tuple[float, int, float], why: str
+) -> str:
+    """six: chi-square, degrees of freedom and p. why: a parameter is not given by both."""
+    found, dof, p = six
     if not dof:
         return f"Neither gives a parameter that the other gives, too{why}."
     spread = f"chi-square {found:.1f} with {dof} degrees of freedom, p = {p:.2g}"

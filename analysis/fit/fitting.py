@@ -9,7 +9,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import pairwise
 from pathlib import Path
@@ -164,15 +164,15 @@ def fit_all(
         machine = machine.model_copy(update={"estimation": estimation})
     folder = cache or cache_folder()
     names = [_name(one, methods) for one in wanted]
-    kept = [load(folder / name, SegmentFit) for name in names]
-    found = {k: fit for k, fit in enumerate(kept) if fit is not None}
+    stored = {k: load(folder / name, SegmentFit) for k, name in enumerate(names)}
+    found = {k: fit for k, fit in stored.items() if fit is not None}
     progress(len(found), len(wanted))
-    open_ones = [k for k in range(len(wanted)) if k not in found]
-    for k, fit in _fit_these(machine, wanted, open_ones, methods, jobs, cache):
+    missing = [k for k in stored if k not in found]
+    for k, fit in _fit_these(machine, wanted, missing, methods, jobs, cache):
         store(folder / names[k], fit, machine.log)
         found[k] = fit
         progress(len(found), len(wanted))
-    fits = tuple(found[k] for k in range(len(wanted)))
+    fits = tuple(found[k] for k in stored)
     told = tuple(k for k, fit in enumerate(fits) if fit.windows)
     if not told:
         return Fitted(tuple(wanted), fits, (), None, None)
@@ -183,12 +183,17 @@ def fit_all(
         with side_by_side(len(told), jobs) as each:
             linearised = linearise(machine, [fits[k] for k in told], between, each)
         store(together, linearised, machine.log)
+    return _joined(machine, Fitted(tuple(wanted), fits, told, linearised, None))
+
+
+def _joined(machine: Machine, fitted: Fitted) -> Fitted:
+    """All together, and in groups where they do not agree."""
+    assert fitted.linearised is not None
+    linearised, told = fitted.linearised, fitted.told
     joint = join(machine, linearised)
     apart = () if joint.agreement.agrees else groups(machine, linearised.told, linearised.between_m)
-    return Fitted(
-        tuple(wanted), fits, told, linearised, joint,
-        tuple((tuple(told[k] for k in rows), join(machine, linearised, rows)) for rows in apart),
-    )  # fmt: skip
+    together = tuple((tuple(told[k] for k in rows), join(machine, linearised, rows)) for rows in apart)
+    return replace(fitted, joint=joint, groups=together)
 
 
 def _fit_these(

@@ -1,12 +1,9 @@
-"""What `tilth fit` gives, as one plain object that becomes JSON as it stands.
-
-SI; an sd is in the unit of its value.
-"""
+"""What `tilth fit` gives, as one plain object that becomes JSON as it stands. SI."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import NotRequired, TypedDict, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +14,7 @@ from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit
 from tilth.estimator.filters.unknowns import NAMES, NOISES, SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.results.reporting import is_supported, nuisance_sd
-from tilth.replay.estimates_json import estimates_and_nuisances
+from tilth.replay.estimates_json import NuisanceEntry, ParameterEntry, estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import combination_words, sentence
@@ -25,26 +22,94 @@ from tilth.schemas.sentences import combination_words, sentence
 Array = NDArray[np.float64]
 
 
-def as_json(fitted: Fitted) -> dict[str, Any]:
-    """{"runs": […], "joint": …, "agreement": …, "groups": […], "simulated": whether no tractor drove};
-    "joint" and "agreement" None where nothing was told, "groups" empty where the segments agree."""
+class RunAnswer(TypedDict):
+    """Of one segment. filter, steady_state: parameters by other methods. determined: combinations, in words.
+    refused: stretches of which nothing was learned, by reason."""
+
+    id: str
+    log: int
+    segment: int
+    kind: str
+    name: str
+    start_s: float
+    end_s: float
+    speed: float
+    largest_angle: float
+    fitted_s: float
+    parameters: dict[str, ParameterEntry]
+    log_covariance: list[list[float]] | None
+    determined: list[str]
+    nuisances: dict[str, NuisanceEntry]
+    filter: dict[str, ParameterEntry]
+    steady_state: dict[str, ParameterEntry]
+    refused: dict[str, int]
+    two_step: NotRequired[dict[str, ParameterEntry]]
+
+
+class JointAnswer(TypedDict):
+    """Of several segments together. between_sd: of the logarithms, from segment to segment; new_segment_sd:
+    for a segment that was not among them."""
+
+    parameters: dict[str, ParameterEntry]
+    between_sd: dict[str, float]
+    new_segment_sd: dict[str, float]
+    log_covariance: list[list[float]]
+    nuisances: dict[str, NuisanceEntry]
+    fitted_s: float
+
+
+class AgreementAnswer(TypedDict):
+    """agreement.Agreement."""
+
+    chi2: float
+    dof: int
+    p: float
+    sentence: str
+
+
+class GroupAnswer(JointAnswer):
+    """Of segments that agree among themselves."""
+
+    segments: list[str]
+    name: str
+    agreement: AgreementAnswer
+
+
+class FitAnswer(TypedDict):
+    """joint, agreement: None where nothing was told. groups: none where the segments agree. simulated: no
+    tractor drove. notes: of a report."""
+
+    runs: list[RunAnswer]
+    joint: JointAnswer | None
+    simulated: bool
+    agreement: AgreementAnswer | None
+    groups: list[GroupAnswer]
+    notes: NotRequired[list[str]]
+
+
+def as_json(fitted: Fitted) -> FitAnswer:
+    """All of it."""
     joint, ids = fitted.joint, [one.id for one in fitted.wanted]
     apart = "; ".join(_listed(ids, rows) for rows, _ in fitted.groups)
     return {
         "runs": [_run(one, fit) for one, fit in zip(fitted.wanted, fitted.fits, strict=True)],
         "joint": None if joint is None else _joint(joint, apart),
         "simulated": any(one.run.simulated for one in fitted.wanted),
-        "agreement": None if joint is None else asdict(joint.agreement),
+        "agreement": None if joint is None else _agreement(joint),
         "groups": [
             {
                 "segments": [ids[k] for k in rows],
                 "name": _listed(ids, rows),
                 **_joint(one, ""),
-                "agreement": asdict(one.agreement),
+                "agreement": _agreement(one),
             }
             for rows, one in fitted.groups
         ],
     }
+
+
+def _agreement(joint: Joint) -> AgreementAnswer:
+    return cast("AgreementAnswer", asdict(joint.agreement))
 
 
 def _listed(ids: Sequence[str], rows: Sequence[int]) -> str:
@@ -60,12 +125,11 @@ def _listed(ids: Sequence[str], rows: Sequence[int]) -> str:
     )
 
 
-def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
+def _run(one: Wanted, fit: SegmentFit) -> RunAnswer:
     said = estimates_and_nuisances(fit.estimates)
-    estimates: Any = said["estimates"]
-    nuisances: Any = said["nuisances"]
+    estimates = said["estimates"]
     best = fit.estimates[pem.METHOD]
-    answer = {
+    answer: RunAnswer = {
         "id": one.id,
         "log": one.log,
         "segment": one.number,
@@ -79,7 +143,7 @@ def _run(one: Wanted, fit: SegmentFit) -> dict[str, Any]:
         "parameters": estimates[pem.METHOD],
         "log_covariance": _square(best.log_covariance),
         "determined": [combination_words(one) for one in best.determined],
-        "nuisances": nuisances[pem.METHOD],
+        "nuisances": said["nuisances"][pem.METHOD],
         "filter": estimates[METHODS[1]],
         "steady_state": estimates[METHODS[2]],
         "refused": {sentence(Reason(code)): count for code, count in fit.refused.items()},
@@ -93,7 +157,7 @@ def _square(numbers: Sequence[float]) -> list[list[float]] | None:
     return np.array(numbers).reshape(6, 6).tolist() if numbers else None
 
 
-def _joint(joint: Joint, apart: str) -> dict[str, Any]:
+def _joint(joint: Joint, apart: str) -> JointAnswer:
     """apart: names of the groups that agree, where not all do."""
     none = "the segments do not agree, so no one number holds for all"
     if apart:
@@ -125,7 +189,7 @@ def _joint(joint: Joint, apart: str) -> dict[str, Any]:
     }
 
 
-def _parameter(log: float, sd: float, prior_sd: float, refused: str) -> dict[str, Any]:
+def _parameter(log: float, sd: float, prior_sd: float, refused: str) -> ParameterEntry:
     """As of an estimate: without a number where the data leave too much, or where it is refused."""
     if refused or not is_supported(False, sd, prior_sd):
         reason = refused or sentence(Reason(Code.WIDE, numbers=(sd,)))

@@ -1,17 +1,10 @@
-"""The measured frequency response beside those of models.
-
-response: what a measured response is, made plain by `document.plain`: {"outputs": [p], "hz": [f], "value":
-{"re", "im"} [f][p], "band": {"gain_low", "gain_high", "phase_half"} [f][p], "coherence" [f][p], "excited" [f]
-or absent, "curves": [{"name", "response": {"re", "im"}, "sentence"}], "speed", "segments", "segment_s",
-"notes": […], "reason": "" or why there is nothing, "loop": {"sentence"} or
-absent}. Gains are rad/s or rad per rad.
-"""
+"""The measured frequency response beside those of models."""
 
 import cmath
 import math
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final, TypedDict
 
+from tilth.analysis.report.data import ComplexTable, Numbers, ResponseFacts
 from tilth.analysis.report.document import (
     Part,
     ReportCell,
@@ -28,7 +21,33 @@ OUTPUTS: Final = {
 TABLE_ROWS: Final = 12  # of frequencies, evenly spread in their logarithm
 
 
-def response_section(response: Mapping[str, Any] | None) -> ReportSection | None:
+class DrawnModel(TypedDict):
+    name: str
+    gain_db: Numbers
+    phase_deg: list[float]
+
+
+class DrawnOutput(TypedDict):
+    """Of one output; low and high are the 95 % band."""
+
+    name: str
+    gain_db: Numbers
+    gain_low_db: Numbers
+    gain_high_db: Numbers
+    phase_deg: list[float]
+    phase_half_deg: list[float]
+    coherence: list[float]
+    models: list[DrawnModel]
+
+
+class DrawnResponse(TypedDict):
+    """Where the steering excites."""
+
+    hz: list[float]
+    outputs: list[DrawnOutput]
+
+
+def response_section(response: ResponseFacts | None) -> ReportSection | None:
     """None without a response; a sentence where none could be measured."""
     if not response:
         return None
@@ -38,8 +57,8 @@ def response_section(response: Mapping[str, Any] | None) -> ReportSection | None
         return ReportSection("response", title, (ReportText(f"Not measured: {reason.rstrip('.')}."),))
     data = drawn(response)
     parts: list[Part] = [ReportText(text) for text in response.get("notes") or ()]
-    loop = response.get("loop") or {}
-    parts += [ReportText(loop["sentence"])] if loop.get("sentence") else []
+    loop = response.get("loop")
+    parts += [ReportText(loop["sentence"])] if loop and loop["sentence"] else []
     speed = f" at {response['speed']:.2f} m/s" if response.get("speed") else ""
     for output in data["outputs"]:
         parts += [_figure(data, output, speed), _table(data, output)]
@@ -49,17 +68,17 @@ def response_section(response: Mapping[str, Any] | None) -> ReportSection | None
     return ReportSection("response", title, tuple(parts))
 
 
-def drawn(response: Mapping[str, Any]) -> dict[str, Any]:
+def drawn(response: ResponseFacts) -> DrawnResponse:
     """Per output gain (dB) with its band, phase (°) with its band, coherence; the same of the models."""
     excited = response.get("excited") or [True] * len(response["hz"])
     rows = [k for k, one in enumerate(excited) if one]
-    outputs = []
+    outputs: list[DrawnOutput] = []
     for p, name in enumerate(response["outputs"]):
         value, band = response["value"], response["band"]
         phase, half = _phase(value, rows, p), [math.degrees(band["phase_half"][k][p]) for k in rows]
         outputs.append({
             "name": name,
-            "gain_db": [_db(math.hypot(value["re"][k][p], value["im"][k][p])) for k in rows],
+            "gain_db": [_db(_size(value, k, p)) for k in rows],
             "gain_low_db": [_db(band["gain_low"][k][p]) for k in rows],
             "gain_high_db": [_db(band["gain_high"][k][p]) for k in rows],
             "phase_deg": phase,
@@ -77,7 +96,7 @@ def drawn(response: Mapping[str, Any]) -> dict[str, Any]:
     return {"hz": [response["hz"][k] for k in rows], "outputs": outputs}
 
 
-def _size(value: Mapping[str, Any], k: int, p: int) -> float:
+def _size(value: ComplexTable, k: int, p: int) -> float:
     return math.hypot(value["re"][k][p], value["im"][k][p])
 
 
@@ -85,7 +104,7 @@ def _db(gain: float | None) -> float | None:
     return None if gain is None or gain <= 0 else 20.0 * math.log10(gain)
 
 
-def _phase(value: Mapping[str, Any], rows: list[int], p: int) -> list[float]:
+def _phase(value: ComplexTable, rows: list[int], p: int) -> list[float]:
     """°, without jumps."""
     found: list[float] = []
     for k in rows:
@@ -96,7 +115,7 @@ def _phase(value: Mapping[str, Any], rows: list[int], p: int) -> list[float]:
     return found
 
 
-def _figure(data: Mapping[str, Any], output: Mapping[str, Any], speed: str) -> ReportFigure:
+def _figure(data: DrawnResponse, output: DrawnOutput, speed: str) -> ReportFigure:
     what = OUTPUTS.get(output["name"], output["name"])
     models = ", ".join(one["name"] for one in output["models"])
     return ReportFigure(
@@ -109,7 +128,7 @@ def _figure(data: Mapping[str, Any], output: Mapping[str, Any], speed: str) -> R
     )  # fmt: skip
 
 
-def _table(data: Mapping[str, Any], output: Mapping[str, Any]) -> ReportTable:
+def _table(data: DrawnResponse, output: DrawnOutput) -> ReportTable:
     """Of some frequencies; all stand in the JSON."""
     hz = data["hz"]
     last = len(hz) - 1

@@ -1,19 +1,17 @@
 """What is computed for a report from its runs: fits, predictions, tests of residuals, frequency responses.
 
-As sections take them (fitted.py, checked.py, answered.py): plain and SI. What cannot be computed is absent,
-and `sentences` of the result say why.
+Plain and SI. What cannot be computed is absent, and notes say why.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from tilth.analysis.fit.fitting import CannotFit, Fitted, Wanted, choose, fit_all, in_order
 from tilth.analysis.fit.result import as_json as fit_json
+from tilth.analysis.report.data import Answers, ResponseFacts, TestFacts
 from tilth.analysis.report.document import plain
 from tilth.analysis.report.given import MOST_FITTED, of_a_plan
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
-from tilth.analysis.validation import held_out
 from tilth.analysis.validation.validate import hold_out, residual_tests, responses
 
 Progress = Callable[[str, int, int], None]  # what, done, of all
@@ -25,8 +23,8 @@ def answers_of(
     progress: Progress,
     most: int | None = None,
     marks: Sequence[str] = (),
-) -> dict[str, Any]:
-    """ "fit", "held_out", "residuals", "response" and "notes". given: of each run the segments that the user
+) -> Answers:
+    """given: of each run the segments that the user
     named, which are all fitted. most: segments that are fitted of each other run; None: the runs of a plan of
     experiments, and MOST_FITTED of what else there is. marks: only those between marks of such
     names. Raises LogError, OSError.
@@ -37,10 +35,10 @@ def answers_of(
         fitted = fit_all(chosen, progress=lambda done, of: progress("fitting", done, of))
     except CannotFit as error:
         return {"notes": [f"Nothing was fitted: {error}."]}
-    found: dict[str, Any] = {"fit": plain(fit_json(fitted)) | {"notes": notes}, "notes": notes}
+    found: Answers = {"fit": plain(fit_json(fitted)) | {"notes": notes}, "notes": notes}
     if fitted.joint is None:
         return found
-    found["held_out"] = {"subsets": plain(held_out.as_json(hold_out(fitted)))}
+    found["held_out"] = {"subsets": plain(hold_out(fitted))}
     found["residuals"] = _residuals(fitted)
     found["response"] = _response(fitted)
     return found
@@ -79,30 +77,32 @@ def fewer(wanted: Sequence[Wanted], most: int | None) -> tuple[tuple[Wanted, ...
     ]
 
 
-def _residuals(fitted: Fitted) -> list[dict[str, Any]]:
+def _residuals(fitted: Fitted) -> list[TestFacts]:
     """Each test of each output of each segment; passed ones of all segments of an output as one."""
-    rows: list[dict[str, Any]] = []
+    rows: list[TestFacts] = []
     for found in residual_tests(fitted):
         for test in (found.white, found.by_wheel, found.size):
-            rows.append({**plain(test), "test": type(test).__name__})
+            row: TestFacts = plain(test) | {"test": type(test).__name__}
+            rows.append(row)
     return [row for row in rows if row["outcome"] == "failed"] + _counted(rows)
 
 
-def _counted(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _counted(rows: Sequence[TestFacts]) -> list[TestFacts]:
     """Per test one row that says how many passed."""
-    found = []
+    found: list[TestFacts] = []
     for name in dict.fromkeys(row["test"] for row in rows):
         of_test = [row for row in rows if row["test"] == name]
         passed = sum(row["outcome"] == "passed" for row in of_test)
         outcome = "passed" if passed == len(of_test) else "undecided"
         sentence = f"{passed} of {len(of_test)} outputs of segments passed."
-        row = {"output": "all", "test": name, "outcome": outcome, "p_value": None, "sentence": sentence}
-        found.append(row)
+        found.append({
+            "output": "all", "test": name, "outcome": outcome, "p_value": None, "sentence": sentence,
+        })  # fmt: skip
     return found
 
 
-def _response(fitted: Fitted) -> dict[str, Any] | None:
+def _response(fitted: Fitted) -> ResponseFacts | None:
     """Of the first run that gives one, else why the first gives none."""
-    every = [plain(one) for one in responses(fitted).values()]
+    every: list[ResponseFacts] = [plain(one) for one in responses(fitted).values()]
     good = [one for one in every if not one.get("reason")]
     return next(iter(good or every), None)

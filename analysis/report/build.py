@@ -1,10 +1,8 @@
 """All sections of a report from all of its data."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from tilth.analysis.report.answered import response_section
 from tilth.analysis.report.checked import held_out_section, residuals_section
+from tilth.analysis.report.data import ReportData, RunFacts
 from tilth.analysis.report.document import DriveReport, ReportSection
 from tilth.analysis.report.fitted import fit_section
 from tilth.analysis.report.glance import glance_section
@@ -13,11 +11,8 @@ from tilth.analysis.report.published import nuisances_section, published_section
 from tilth.analysis.report.wording import clock
 
 
-def report_of(data: Mapping[str, Any]) -> DriveReport:
-    """data, plain and SI: "runs": [as `gather.facts_of`], "command": str; and, where they were computed,
-    "fit" (fitted.py), "held_out", "residuals" (checked.py), "response" (answered.py). What is absent is left
-    out.
-    """
+def report_of(data: ReportData) -> DriveReport:
+    """What is absent is left out."""
     runs = data["runs"]
     prior = runs[0]["machine"]["prior"]
     found: list[ReportSection | None] = [
@@ -33,14 +28,14 @@ def report_of(data: Mapping[str, Any]) -> DriveReport:
     return DriveReport(title, tuple(section for section in found if section), data)
 
 
-def _run_section(run: Mapping[str, Any], number: int, of: int) -> ReportSection:
+def _run_section(run: RunFacts, number: int, of: int) -> ReportSection:
     id = f"run{number}"
     sections = (glance_section(run, id), published_section(run, id), nuisances_section(run, id))
     title = f"Run {number}: {_called(run)}" if of > 1 else f"Run {run['id']}"
     return ReportSection(id, title, (), tuple(section for section in sections if section))
 
 
-def _called(run: Mapping[str, Any]) -> str:
+def _called(run: RunFacts) -> str:
     """The machine and when it drove, as people call a run; its id where its time is not known."""
     if run["start_utc_s"] is None:
         return str(run["id"])

@@ -1,18 +1,10 @@
-"""Whether the fits hold: drives predicted that were not fitted, and what residuals tell.
-
-held_out: {"subsets": [{"fitted": [ids], "cells": [{"run": id, "tractor_m", "implement_m", "held_out":
-bool, "fit_percent": {output: %}, "horizon_rms": {s ahead: {output: SI}}, "gain": nats}], "refused": why
-there are none}]}, RMS distances between predicted and driven paths, m; what could not be computed is None or
-absent.
-
-residuals: a list of tests, made plain by `document.plain`: {"output", "outcome": passed, failed or undecided,
-"p_value", "sentence"}, with "test": what was tested, or the name of the class that held it (TESTS).
-"""
+"""Whether the fits hold: drives predicted that were not fitted, and what residuals tell."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
+from tilth.analysis.report.data import HeldOut, HeldOutCell, HeldOutSubset, TestFacts
 from tilth.analysis.report.document import (
     HELD_OUT,
     Part,
@@ -38,9 +30,9 @@ OUTPUTS: Final = {
 """Outputs of held_out: in words, their unit here, and how many of it make one of SI."""
 
 
-def held_out_section(held_out: Mapping[str, Any] | None) -> ReportSection | None:
+def held_out_section(held_out: HeldOut | None) -> ReportSection | None:
     """None without subsets."""
-    subsets = (held_out or {}).get("subsets") or []
+    subsets = held_out["subsets"] if held_out else []
     if not subsets:
         return None
     runs = list(dict.fromkeys(str(cell["run"]) for subset in subsets for cell in subset["cells"]))
@@ -63,7 +55,7 @@ def held_out_section(held_out: Mapping[str, Any] | None) -> ReportSection | None
     return ReportSection("prediction", "Prediction of drives", tuple(parts))
 
 
-def _outputs_table(subsets: Sequence[Mapping[str, Any]]) -> list[ReportTable]:
+def _outputs_table(subsets: Sequence[HeldOutSubset]) -> list[ReportTable]:
     """How well each output is predicted, of those subsets that were looked at over horizons; none without."""
     cells = [(subset, cell) for subset in subsets for cell in subset["cells"] if cell.get("horizon_rms")]
     values = [_by_output(cell) for _, cell in cells]
@@ -84,7 +76,7 @@ def _outputs_table(subsets: Sequence[Mapping[str, Any]]) -> list[ReportTable]:
     return [ReportTable("outputs", caption, ("fitted to", "run", *known), tuple(rows))]
 
 
-def _by_output(cell: Mapping[str, Any]) -> dict[str, float | None]:
+def _by_output(cell: HeldOutCell) -> dict[str, float | None]:
     """What a column is called -> its value, in the unit that the name says."""
     found: dict[str, float | None] = {
         f"fit of {OUTPUTS[name][0]}, %": value for name, value in (cell.get("fit_percent") or {}).items()
@@ -96,36 +88,35 @@ def _by_output(cell: Mapping[str, Any]) -> dict[str, float | None]:
     return found | {"log-likelihood gain": cell.get("gain")}
 
 
-def _cells(subset: Mapping[str, Any], runs: Sequence[str]) -> list[ReportCell]:
+def _cells(subset: HeldOutSubset, runs: Sequence[str]) -> list[ReportCell]:
     by_run = {str(cell["run"]): cell for cell in subset["cells"]}
     found = []
     for run in runs:
-        cell = by_run.get(run, {})
-        out = bool(cell.get("held_out"))
-        for body in ("tractor_m", "implement_m"):
-            value = cell.get(body)
+        cell = by_run.get(run)
+        out = cell is not None and cell["held_out"]
+        for value in (cell["tractor_m"], cell["implement_m"]) if cell else (None, None):
             text = NOTHING if value is None else number(value, 2)
             found.append(ReportCell(f"{text} ({MARK})" if out else text, value, mark=HELD_OUT if out else ""))
     return found
 
 
-def _in_words(subsets: Sequence[Mapping[str, Any]]) -> list[Part]:
+def _in_words(subsets: Sequence[HeldOutSubset]) -> list[Part]:
     cells = [cell for subset in subsets for cell in subset["cells"] if subset["fitted"] and cell["held_out"]]
-    known = [cell for cell in cells if cell.get("tractor_m") is not None]
+    known = [(cell["tractor_m"], cell["run"]) for cell in cells if cell["tractor_m"] is not None]
     if not known:
         return [
             ReportText("No drive was held out: the table shows how well the fits describe their own data.")
         ]
-    worst = max(known, key=lambda cell: float(cell["tractor_m"]))
+    worst_m, run = max(known, key=lambda row: row[0])
     return [
         ReportText(
             f"{many(len(known), 'prediction')} of drives that were not fitted; the tractor's is at worst "
-            f"{number(worst['tractor_m'], 2, 'm')} from the driven path (segment {worst['run']})."
+            f"{number(worst_m, 2, 'm')} from the driven path (segment {run})."
         )
     ]
 
 
-def residuals_section(residuals: Sequence[Mapping[str, Any]] | None) -> ReportSection | None:
+def residuals_section(residuals: Sequence[TestFacts] | None) -> ReportSection | None:
     """None without tests."""
     if not residuals:
         return None
@@ -147,6 +138,6 @@ def residuals_section(residuals: Sequence[Mapping[str, Any]] | None) -> ReportSe
     return ReportSection("residuals", "Residuals", (ReportText(text), table))
 
 
-def _test(one: Mapping[str, Any]) -> str:
+def _test(one: TestFacts) -> str:
     kind = str(one.get("test") or NOTHING)
     return TESTS.get(kind, kind)

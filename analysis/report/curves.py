@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.analysis.report.data import Envelope, PathCurves, PublishedCurve, Track
 from tilth.analysis.runs.segments import LONGEST_GAP_S, DrivenSegment
 from tilth.analysis.runs.table import Table
 from tilth.schemas.flow import PARAMETERS, Status
@@ -36,20 +37,19 @@ def numbers(values: Any) -> list[float | None]:
     return [float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None for value in flat]
 
 
-def path_curves(poses: Table, segments: Sequence[DrivenSegment]) -> dict[str, Any]:
-    """Both CGs in W, m: {"tractor": {"x", "y"}, "implement": …, "segments": [{"number", "kind", …}]}.
+def path_curves(poses: Table, segments: Sequence[DrivenSegment]) -> PathCurves:
+    """Of both CGs."""
+    return {
+        "tractor": _track(poses, "tractor"),
+        "implement": _track(poses, "implement"),
+        "segments": [
+            {"number": k, "kind": one.kind, **_track(poses.between(one.start_s, one.end_s), "tractor")}
+            for k, one in enumerate(segments, 1)
+        ],
+    }
 
-    Of a segment the tractor's.
-    """
-    found: dict[str, Any] = {body: _track(poses, body) for body in ("tractor", "implement")}
-    found["segments"] = [
-        {"number": k, "kind": one.kind} | _track(poses.between(one.start_s, one.end_s), "tractor")
-        for k, one in enumerate(segments, 1)
-    ]
-    return found
 
-
-def _track(poses: Table, body: str) -> dict[str, list[float | None]]:
+def _track(poses: Table, body: str) -> Track:
     """Broken where poses are missing."""
     x, y = poses[f"{body}_x_m"], poses[f"{body}_y_m"]
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
@@ -94,15 +94,15 @@ def simplified(x: Floats, y: Floats, tolerance: float) -> NDArray[np.intp]:
     return np.flatnonzero(keep)
 
 
-def drive_curves(poses: Table, duration_s: float) -> dict[str, Any]:
-    """{name of SERIES: {"t_s", "value", "low", "high"}}; low and high are the 95 % band. SI."""
+def drive_curves(poses: Table, duration_s: float) -> dict[str, Envelope]:
+    """By name of SERIES, SI."""
     return {
         name: _envelope(poses.t_s, poses[column], WITHIN * poses[sd], duration_s)
         for name, column, sd in SERIES
     }
 
 
-def _envelope(t: Floats, value: Floats, half: Floats, duration_s: float) -> dict[str, Any]:
+def _envelope(t: Floats, value: Floats, half: Floats, duration_s: float) -> Envelope:
     """Least and largest of each bucket, in their order, with the band's outermost."""
     known = np.isfinite(value)
     t, value, half = t[known], value[known], np.nan_to_num(half[known])
@@ -118,7 +118,8 @@ def _envelope(t: Floats, value: Floats, half: Floats, duration_s: float) -> dict
             ends = sorted({int(at[np.argmin(value[at])]), int(at[np.argmax(value[at])])})
             rows += [(float(t[k]), float(value[k]), low, high) for k in ends]
     columns = np.array(rows, dtype=np.float64).reshape(-1, 4).T
-    return dict(zip(("t_s", "value", "low", "high"), map(numbers, columns), strict=True))
+    t_s, values, lows, highs = map(numbers, columns)
+    return {"t_s": t_s, "value": values, "low": lows, "high": highs}
 
 
 def column_of(parameter: str, what: str = "") -> str:
@@ -128,11 +129,8 @@ def column_of(parameter: str, what: str = "") -> str:
     return f"{parameter}{f'_{what}' if what else ''}{unit.get(what, '')}"
 
 
-def parameter_curves(tables: Mapping[str, Table]) -> dict[str, Any]:
-    """{method: {parameter: {"t_s", "value", "sd", "usable"}}} as published; SI.
-
-    usable: whether its status was `estimated`.
-    """
+def parameter_curves(tables: Mapping[str, Table]) -> dict[str, dict[str, PublishedCurve]]:
+    """method -> parameter -> as published; SI."""
     return {
         method: {name: _published(table, name) for name in PARAMETERS}
         for method, table in tables.items()
@@ -140,7 +138,7 @@ def parameter_curves(tables: Mapping[str, Table]) -> dict[str, Any]:
     }
 
 
-def _published(table: Table, name: str) -> dict[str, Any]:
+def _published(table: Table, name: str) -> PublishedCurve:
     rows = np.unique(np.linspace(0, table.rows - 1, min(POINTS, table.rows)).round().astype(int))
     usable = table[column_of(name, "status")][rows] == Status.ESTIMATED
     return {

@@ -92,7 +92,7 @@ def parts_of(sections: tuple[ReportSection, ...]) -> Iterator[Part]:
         yield from parts_of(section.sections)
 
 
-def as_json(report: DriveReport) -> dict[str, Any]:
+def as_json(report: DriveReport) -> dict[str, object]:
     """For json.dumps(…, allow_nan=False). The curves of figures stand in `data` only."""
     return {
         "form": FORM,
@@ -102,7 +102,7 @@ def as_json(report: DriveReport) -> dict[str, Any]:
     }
 
 
-def _section(section: ReportSection) -> dict[str, Any]:
+def _section(section: ReportSection) -> dict[str, object]:
     return {
         "id": section.id,
         "title": section.title,
@@ -111,7 +111,7 @@ def _section(section: ReportSection) -> dict[str, Any]:
     }
 
 
-def _part(part: Part) -> dict[str, Any]:
+def _part(part: Part) -> dict[str, object]:
     if isinstance(part, ReportText):
         return {part.kind: part.text}
     if isinstance(part, ReportFigure):
@@ -120,7 +120,7 @@ def _part(part: Part) -> dict[str, Any]:
     return {"table": part.id, "caption": part.caption, "columns": list(part.columns), "rows": rows}
 
 
-def _cell(cell: ReportCell) -> dict[str, Any]:
+def _cell(cell: ReportCell) -> dict[str, object]:
     found = {"text": cell.text, "value": cell.value, "sd": cell.sd, "mark": cell.mark}
     return {key: value for key, value in found.items() if value not in (None, "") or key == "text"}
 

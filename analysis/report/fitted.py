@@ -1,15 +1,10 @@
-"""Fits of segments and of all together, and whether they agree.
-
-fit: {"runs": [{"id", "log", "start_s", "end_s", "kind", "name", "parameters": {C_af: {"value", "sd",
-"status", "reason"}, …}, "nuisances", "log_covariance": 6 x 6 or None, "seconds"}, …], "joint": {"parameters",
-"log_covariance", "nuisances"} or None,
-"groups": [the same with "segments": [id, …] and "name", …],
-"agreement": {"chi2", "dof", "p", "sentence"} or None, "notes": [what else is to be said]}; SI.
-"""
+"""Fits of segments and of all together, and whether they agree."""
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final, NamedTuple
 
+from tilth.analysis.fit.result import FitAnswer
+from tilth.analysis.report.data import PriorFacts
 from tilth.analysis.report.document import (
     Part,
     ReportCell,
@@ -21,81 +16,83 @@ from tilth.analysis.report.document import (
 from tilth.analysis.report.glance import NAMES
 from tilth.analysis.report.published import correlation_figure
 from tilth.analysis.report.wording import NOTHING, fixed, heading_of, parameter_cell
+from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS
 
 TOGETHER: Final = "all together"
 
 
-def fit_section(
-    fit: Mapping[str, Any] | None, prior: Mapping[str, Any] | None = None
-) -> ReportSection | None:
+def fit_section(fit: FitAnswer | None, prior: Mapping[str, PriorFacts] | None = None) -> ReportSection | None:
     """prior: the machine file's, of `gather.facts_of`. None without fits."""
-    if not fit or not (fit.get("runs") or fit.get("joint")):
+    if not fit or not (fit["runs"] or fit["joint"]):
         return None
     parts: list[Part] = [ReportText(text) for text in fit.get("notes") or ()]
-    agreement = fit.get("agreement")
-    if agreement:
-        parts.append(ReportText(str(agreement["sentence"])))
+    if fit["agreement"]:
+        parts.append(ReportText(fit["agreement"]["sentence"]))
     parts += [_figure(fit, prior), _table(fit), *_reasons(fit)]
     sections = []
-    joint = fit.get("joint") or {}
-    covariance = joint.get("log_covariance")
-    known = [name for name in PARAMETERS if _value(joint, name) is not None]
-    if covariance and len(known) > 1:
-        figure = correlation_figure(covariance, known, "fit", "of all segments together")
+    joint = fit["joint"]
+    known = [name for name in PARAMETERS if joint and joint["parameters"][name]["value"] is not None]
+    if joint and len(known) > 1:
+        figure = correlation_figure(joint["log_covariance"], known, "fit", "of all segments together")
         sections.append(ReportSection("fit-correlations", "Correlations of the joint fit", (figure,)))
     return ReportSection("fit", "Fits of segments", tuple(parts), tuple(sections))
 
 
-def _value(found: Mapping[str, Any], name: str) -> float | None:
-    value: float | None = (found.get("parameters") or {}).get(name, {}).get("value")
-    return value
+class _Row(NamedTuple):
+    """A fit as a table shows it."""
+
+    name: str
+    parameters: Mapping[str, ParameterEntry]
+    kind: str = NOTHING
+    start_s: float | None = None
+    end_s: float | None = None
 
 
-def _rows(fit: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    """What each row is called, and its fit."""
-    rows = [(str(one["id"]), one) for one in fit.get("runs") or ()]
-    several = [one for one in fit.get("groups") or () if len(one["segments"]) > 1]
-    rows += [(f"together: {one['name']}", one) for one in several]
-    return [*rows, (TOGETHER, fit["joint"])] if fit.get("joint") else rows
+def _rows(fit: FitAnswer) -> list[_Row]:
+    rows = [
+        _Row(one["id"], one["parameters"], one["name"] or NAMES[one["kind"]], one["start_s"], one["end_s"])
+        for one in fit["runs"]
+    ]
+    several = [one for one in fit["groups"] if len(one["segments"]) > 1]
+    rows += [_Row(f"together: {one['name']}", one["parameters"], one["name"]) for one in several]
+    return [*rows, _Row(TOGETHER, fit["joint"]["parameters"])] if fit["joint"] else rows
 
 
-def _table(fit: Mapping[str, Any]) -> ReportTable:
-    rows = []
-    for name, one in _rows(fit):
-        kind = one.get("name") or NAMES.get(one.get("kind", ""), one.get("kind", "")) or NOTHING
-        start, end = one.get("start_s"), one.get("end_s")
-        rows.append((
-            ReportCell(name),
-            ReportCell(fixed(start, 1), start),
-            ReportCell(fixed(end, 1), end),
-            ReportCell(kind),
-            *(parameter_cell(parameter, one["parameters"].get(parameter)) for parameter in PARAMETERS),
-        ))  # fmt: skip
+def _table(fit: FitAnswer) -> ReportTable:
+    rows = tuple(
+        (
+            ReportCell(one.name),
+            ReportCell(fixed(one.start_s, 1), one.start_s),
+            ReportCell(fixed(one.end_s, 1), one.end_s),
+            ReportCell(one.kind),
+            *(parameter_cell(parameter, one.parameters[parameter]) for parameter in PARAMETERS),
+        )
+        for one in _rows(fit)
+    )
     columns = ("segment", "from, s", "to, s", "kind", *map(heading_of, PARAMETERS))
     caption = (
         "Fits by segment and of all together, with 95 % intervals; a status where there is no number. "
         "Segment 2.34 is number 34 of run 2."
     )
-    return ReportTable("fit-table", caption, columns, tuple(rows))
+    return ReportTable("fit-table", caption, columns, rows)
 
 
-def _reasons(fit: Mapping[str, Any]) -> list[Part]:
+def _reasons(fit: FitAnswer) -> list[Part]:
     """Why numbers are missing, each reason once."""
     found: dict[str, list[str]] = {}
-    for row, one in _rows(fit):
+    for one in _rows(fit):
         for name in PARAMETERS:
-            parameter = one["parameters"].get(name) or {}
-            if parameter.get("reason"):
-                found.setdefault(parameter["reason"], []).append(f"{name} of {row}")
+            if reason := one.parameters[name]["reason"]:
+                found.setdefault(reason, []).append(f"{name} of {one.name}")
     return [ReportText(f"{', '.join(names)}: {reason}.") for reason, names in found.items()]
 
 
-def _figure(fit: Mapping[str, Any], prior: Mapping[str, Any] | None) -> ReportFigure:
+def _figure(fit: FitAnswer, prior: Mapping[str, PriorFacts] | None) -> ReportFigure:
     rows = [
-        {"name": name, "joint": name == TOGETHER,
-         "parameters": {p: _with_sd(one["parameters"].get(p)) for p in PARAMETERS}}
-        for name, one in _rows(fit)
+        {"name": one.name, "joint": one.name == TOGETHER,
+         "parameters": {p: _with_sd(one.parameters[p]) for p in PARAMETERS}}
+        for one in _rows(fit)
     ]  # fmt: skip
     return ReportFigure(
         "fit-intervals", "intervals",
@@ -106,7 +103,7 @@ def _figure(fit: Mapping[str, Any], prior: Mapping[str, Any] | None) -> ReportFi
     )  # fmt: skip
 
 
-def _with_sd(found: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    if not found or found.get("value") is None or found.get("sd") is None:
+def _with_sd(found: ParameterEntry) -> dict[str, float] | None:
+    if found["value"] is None or found["sd"] is None:
         return None
     return {"value": found["value"], "sd": found["sd"]}

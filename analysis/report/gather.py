@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,18 @@ from tilth.analysis.report.curves import (
     drive_curves,
     parameter_curves,
     path_curves,
+)
+from tilth.analysis.report.data import (
+    Driving,
+    EventFacts,
+    FlagFacts,
+    Gaps,
+    LastEstimate,
+    NuisanceFacts,
+    PriorFacts,
+    RunFacts,
+    SegmentFacts,
+    SensorFacts,
 )
 from tilth.analysis.report.document import plain
 from tilth.analysis.report.origin import origin_of
@@ -39,14 +51,14 @@ _TOPICS: Final = (
 )
 
 
-def facts_of(run: Run, given: Sequence[DrivenSegment] = ()) -> dict[str, Any]:
+def facts_of(run: Run, given: Sequence[DrivenSegment] = ()) -> RunFacts:
     """Of one run. given: segments that are reported instead of those found."""
     run.reader.read_ahead(_TOPICS)
     poses = run.poses
     segments = tuple(given) or all_segments(poses, run.marks)
     estimates = {method: run.estimates(method) for method in METHODS}
     recommended = run.estimates(RECOMMENDED)
-    found: dict[str, Any] = plain({
+    found: RunFacts = plain({
         "id": run.id,
         "note": run.note,
         "duration_s": run.duration_s,
@@ -84,7 +96,7 @@ def _start_utc_s(run: Run) -> float | None:
     return None
 
 
-def _prior(run: Run) -> dict[str, dict[str, float]]:
+def _prior(run: Run) -> dict[str, PriorFacts]:
     tyres = (run.machine.tyres.front, run.machine.tyres.rear, run.machine.tyres.implement)
     values = [tyre.cornering_stiffness for tyre in tyres] + [tyre.relaxation_length for tyre in tyres]
     return {
@@ -93,8 +105,8 @@ def _prior(run: Run) -> dict[str, dict[str, float]]:
     }
 
 
-def _driving(poses: Table) -> dict[str, Any]:
-    """Distances and speeds by the tractor's forward velocity; s by the poses."""
+def _driving(poses: Table) -> Driving:
+    """s: by the poses."""
     speed = poses["tractor_forward_velocity_mps"]
     dt = np.minimum(np.diff(poses.t_s, append=poses.t_s[-1:]), LONGEST_GAP_S)
     known = np.isfinite(speed)
@@ -116,7 +128,7 @@ def _driving(poses: Table) -> dict[str, Any]:
     }
 
 
-def _sensors(run: Run) -> list[dict[str, Any]]:
+def _sensors(run: Run) -> list[SensorFacts]:
     """Each receiver of the machine file and the wheel-angle sensor: what it gave, and its gaps."""
     positions, fixes, angles = (run.measurements(kind) for kind in ("position", "fix", "wheel_angle"))
     rows = []
@@ -128,11 +140,11 @@ def _sensors(run: Run) -> list[dict[str, Any]]:
         fix = Counter(fixes["fix"][fixes["mount"] == mount.value].tolist())
         whole = sum(fix.values())
         shares = {str(name): count / whole for name, count in sorted(fix.items())}
-        rows.append(_sensor(mount.value, own.t_s, run.duration_s) | {"fix": shares})
-    return [*rows, _sensor("wheel_angle", angles.t_s, run.duration_s) | {"fix": {}}]
+        rows.append(_sensor(mount.value, own.t_s, run.duration_s, shares))
+    return [*rows, _sensor("wheel_angle", angles.t_s, run.duration_s, {})]
 
 
-def _sensor(name: str, t: NDArray[np.float64], duration_s: float) -> dict[str, Any]:
+def _sensor(name: str, t: NDArray[np.float64], duration_s: float, fix: dict[str, float]) -> SensorFacts:
     usual = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     limit = max(SHORTEST_S, SPACINGS * usual)
     gaps = _gaps(np.concatenate([[0.0], t, [duration_s]]), limit)
@@ -143,10 +155,11 @@ def _sensor(name: str, t: NDArray[np.float64], duration_s: float) -> dict[str, A
         "per_s": float(t.size / (duration_s - missing)) if duration_s > missing else 0.0,
         "alive_share": max(0.0, 1.0 - missing / duration_s) if duration_s > 0 and t.size else 0.0,
         "gaps": gaps,
+        "fix": fix,
     }
 
 
-def _gaps(t: NDArray[np.float64], limit_s: float) -> dict[str, Any]:
+def _gaps(t: NDArray[np.float64], limit_s: float) -> Gaps:
     """Between times that follow each other: how many, s of all, the longest."""
     between = np.diff(t)
     found = np.flatnonzero(between > limit_s)
@@ -158,7 +171,7 @@ def _gaps(t: NDArray[np.float64], limit_s: float) -> dict[str, Any]:
     }
 
 
-def _flags(poses: Table) -> list[dict[str, Any]]:
+def _flags(poses: Table) -> list[FlagFacts]:
     """What was unusual about poses, the most frequent first."""
     counts: Counter[str] = Counter()
     for text, count in Counter(poses["flags"].tolist()).items():
@@ -167,11 +180,10 @@ def _flags(poses: Table) -> list[dict[str, Any]]:
     return [{"flag": flag, "poses": n, "share": n / poses.rows, "seconds": n * POSE_S} for flag, n in rows]
 
 
-def _events(events: Table, poses: Table) -> list[dict[str, Any]]:
+def _events(events: Table, poses: Table) -> list[EventFacts]:
     """With the tractor's place at the time, m in W."""
     known = np.isfinite(poses["tractor_x_m"])
-    at = {name: poses[f"tractor_{name}_m"][known] for name in ("x", "y")}
-    t = poses.t_s[known]
+    t, x, y = poses.t_s[known], poses["tractor_x_m"][known], poses["tractor_y_m"][known]
     return [
         {
             "t_s": float(events.t_s[k]),
@@ -180,13 +192,14 @@ def _events(events: Table, poses: Table) -> list[dict[str, Any]]:
             "text": str(events["text"][k]),
             "latitude_deg": float(events["latitude_deg"][k]),
             "longitude_deg": float(events["longitude_deg"][k]),
-            **{f"{name}_m": float(np.interp(events.t_s[k], t, at[name])) if t.size else None for name in at},
+            "x_m": float(np.interp(events.t_s[k], t, x)) if t.size else None,
+            "y_m": float(np.interp(events.t_s[k], t, y)) if t.size else None,
         }
         for k in range(events.rows)
     ]
 
 
-def _segment(number: int, segment: DrivenSegment, run: Run) -> dict[str, Any]:
+def _segment(number: int, segment: DrivenSegment, run: Run) -> SegmentFacts:
     return {
         "number": number,
         "kind": segment.kind,
@@ -199,7 +212,7 @@ def _segment(number: int, segment: DrivenSegment, run: Run) -> dict[str, Any]:
     }
 
 
-def _last(table: Table) -> dict[str, Any]:
+def _last(table: Table) -> LastEstimate:
     """The last estimate of a method, as it was published."""
     row = {name: values[-1] for name, values in table.items()}
     covariance = np.asarray(row["log_covariance"])
@@ -221,17 +234,17 @@ def _last(table: Table) -> dict[str, Any]:
             }
             for name in PARAMETERS
         },
-        "log_covariance": covariance.reshape(6, 6) if np.all(np.isfinite(covariance)) else None,
+        "log_covariance": covariance.reshape(6, 6).tolist() if np.all(np.isfinite(covariance)) else None,
     }
 
 
-def _nuisances(run: Run) -> list[dict[str, Any]]:
+def _nuisances(run: Run) -> list[NuisanceFacts]:
     """Of the last estimate that is recommended, beside what was assumed before."""
     table = run.nuisances()
     if not table.rows:
         return []
     mean, sd = unknowns.prior(run.machine)
-    found = []
+    found: list[NuisanceFacts] = []
     for name in unknowns.NAMES:
         if name not in table or not np.isfinite(table[name][-1]):
             continue

@@ -37,7 +37,7 @@ def given_times(text: str) -> GivenTimes:
             raise ValueError
     except ValueError:
         raise ValueError(
-            f"{text}: give seconds from the start of a log, such as 12:42, or 2:12:42 for the second log"
+            f"{text}: give seconds since it began, such as 12:42, or 2:12:42 of the second one"
         ) from None
     return GivenTimes(log, start_s, end_s)
 

@@ -1,8 +1,9 @@
 """The run at a glance: when, where, how far, what was alive, what was driven, what happened."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
+from tilth.analysis.report.data import EventFacts, RunFacts
 from tilth.analysis.report.document import (
     Part,
     ReportCell,
@@ -37,14 +38,14 @@ WHO: Final = {
 }  # fmt: skip
 
 
-def glance_section(run: Mapping[str, Any], id: str) -> ReportSection:
-    """run: as `gather.facts_of` gives it."""
+def glance_section(run: RunFacts, id: str) -> ReportSection:
+    """When, where, how far, what was alive, driven and noted."""
     parts: list[Part] = [ReportText(_when(run)), _numbers(run, id)]
     sections = [_sensors(run, id), _map(run, id), _drive(run, id), _segments(run, id), _happened(run, id)]
     return ReportSection(f"{id}-glance", "The run at a glance", tuple(parts), tuple(sections))
 
 
-def _when(run: Mapping[str, Any]) -> str:
+def _when(run: RunFacts) -> str:
     start, driving = run["start_utc_s"], run["driving"]
     day = (
         "On a day that the log does not know"
@@ -52,8 +53,9 @@ def _when(run: Mapping[str, Any]) -> str:
         else clock(start, "On %Y-%m-%d from %H:%M:%S UTC")
     )
     place = ""
-    if driving["latitude_deg"] is not None:
-        place = f" at {_side(driving['latitude_deg'], 'NS')}, {_side(driving['longitude_deg'], 'EW')}"
+    latitude, longitude = driving["latitude_deg"], driving["longitude_deg"]
+    if latitude is not None and longitude is not None:
+        place = f" at {_side(latitude, 'NS')}, {_side(longitude, 'EW')}"
     note = f" Note: {run['note']}." if run["note"] else ""
     return f"{day}, for {seconds(run['duration_s'])}{place}, with {run['machine']['name']}.{note}"
 
@@ -62,7 +64,7 @@ def _side(angle_deg: float, sides: str) -> str:
     return f"{abs(angle_deg):.5f}° {sides[angle_deg < 0]}"
 
 
-def _numbers(run: Mapping[str, Any], id: str) -> ReportTable:
+def _numbers(run: RunFacts, id: str) -> ReportTable:
     d, gaps = run["driving"], run["gaps"]
     share = d["all_receivers_share"]
     lost = f"{many(gaps['count'], 'gap')}, {gaps['all_s']:.1f} s" if gaps["count"] else "none"
@@ -95,7 +97,7 @@ def _percent(share: float | None) -> str:
     return f"{100 * share:.1f} %" if 0.0 < share < 1.0 else f"{100 * share:.0f} %"
 
 
-def _sensors(run: Mapping[str, Any], id: str) -> ReportSection:
+def _sensors(run: RunFacts, id: str) -> ReportSection:
     rows = []
     for one in run["sensors"]:
         longest = one["gaps"]["longest"]
@@ -115,7 +117,7 @@ def _sensors(run: Mapping[str, Any], id: str) -> ReportSection:
     return ReportSection(f"{id}-alive", "Sensors", (table,))
 
 
-def _map(run: Mapping[str, Any], id: str) -> ReportSection:
+def _map(run: RunFacts, id: str) -> ReportSection:
     path = run["curves"]["path"]
     events = numbered_events(run)
     places = [{"number": k, "x": e["x_m"], "y": e["y_m"]} for k, e in events if e["x_m"] is not None]
@@ -138,7 +140,7 @@ def _map(run: Mapping[str, Any], id: str) -> ReportSection:
     return ReportSection(f"{id}-map", "Map", (figure,))
 
 
-def _drive(run: Mapping[str, Any], id: str) -> ReportSection:
+def _drive(run: RunFacts, id: str) -> ReportSection:
     segments = [{key: one[key] for key in ("number", "kind", "start_s", "end_s")} for one in run["segments"]]
     largest = max((abs(one["largest_angle_rad"]) for one in run["segments"]), default=None)
     described = f"Three curves over {seconds(run['duration_s'])}; {len(segments)} segments are shaded."
@@ -153,7 +155,7 @@ def _drive(run: Mapping[str, Any], id: str) -> ReportSection:
     return ReportSection(f"{id}-driving", "Steering and speed", (figure,))
 
 
-def _segments(run: Mapping[str, Any], id: str) -> ReportSection:
+def _segments(run: RunFacts, id: str) -> ReportSection:
     title = "Segments"
     if not run["segments"]:
         text = (
@@ -182,12 +184,12 @@ def _segments(run: Mapping[str, Any], id: str) -> ReportSection:
     return ReportSection(f"{id}-parts", title, (ReportTable(f"{id}-segments", caption, columns, rows),))
 
 
-def numbered_events(run: Mapping[str, Any]) -> list[tuple[int, Mapping[str, Any]]]:
+def numbered_events(run: RunFacts) -> list[tuple[int, EventFacts]]:
     """All events but changes of soil, with the numbers that they have on the map."""
     return list(enumerate((event for event in run["events"] if event["kind"] != SOIL_CHANGE), 1))
 
 
-def _happened(run: Mapping[str, Any], id: str) -> ReportSection:
+def _happened(run: RunFacts, id: str) -> ReportSection:
     parts: list[Part] = []
     numbered = numbered_events(run)
     if numbered:
@@ -211,7 +213,7 @@ def _happened(run: Mapping[str, Any], id: str) -> ReportSection:
     return ReportSection(f"{id}-happened", "Marks, events and flags", tuple(parts))
 
 
-def _event_table(numbered: Sequence[tuple[int, Mapping[str, Any]]], id: str) -> list[Part]:
+def _event_table(numbered: Sequence[tuple[int, EventFacts]], id: str) -> list[Part]:
     rows = tuple(
         (
             ReportCell(str(k), k),
@@ -232,7 +234,7 @@ def _event_table(numbered: Sequence[tuple[int, Mapping[str, Any]]], id: str) -> 
     return found
 
 
-def _soil_changes(run: Mapping[str, Any], id: str) -> list[Part]:
+def _soil_changes(run: RunFacts, id: str) -> list[Part]:
     changes = [event for event in run["events"] if event["kind"] == SOIL_CHANGE]
     if not changes:
         return [ReportText("No change of soil was found.")]
@@ -250,13 +252,13 @@ def _soil_changes(run: Mapping[str, Any], id: str) -> list[Part]:
     return [ReportTable(f"{id}-soil", caption, columns, rows)]
 
 
-def contradicted(run: Mapping[str, Any]) -> list[tuple[str, float]]:
+def contradicted(run: RunFacts) -> list[tuple[str, float]]:
     """Keys of the machine file that the data contradict, and the share of poses in which they do."""
     flags = [(one["flag"].partition(":"), one["share"]) for one in run["flags"]]
     return [(key, share) for (kind, _, key), share in flags if kind == CONTRADICTION]
 
 
-def at_a_glance(run: Mapping[str, Any]) -> str:
+def at_a_glance(run: RunFacts) -> str:
     """One sentence for the beginning of the report."""
     driving = run["driving"]
     kinds = [NAMES[one["kind"]] for one in run["segments"]]

@@ -1,8 +1,9 @@
 """What the report says first, and how it was made: warnings, versions, sums of the logs, the command."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
+from tilth.analysis.report.data import Origin, ReportData, RunFacts
 from tilth.analysis.report.document import WARNING, Part, ReportCell, ReportSection, ReportTable, ReportText
 from tilth.analysis.report.glance import at_a_glance, contradicted
 from tilth.analysis.report.published import RECOMMENDED, values_table
@@ -21,7 +22,7 @@ _SKIPPED: Final = {
 """What could not be read; a file without its end has a sentence of its own."""
 
 
-def short_section(runs: Sequence[Mapping[str, Any]]) -> ReportSection:
+def short_section(runs: Sequence[RunFacts]) -> ReportSection:
     """Warnings first; then what each run was, and its result."""
     parts: list[Part] = []
     for run in runs:
@@ -36,7 +37,7 @@ def short_section(runs: Sequence[Mapping[str, Any]]) -> ReportSection:
     return ReportSection("short", "In short", tuple(parts))
 
 
-def warnings_of(run: Mapping[str, Any]) -> list[str]:
+def warnings_of(run: RunFacts) -> list[str]:
     """What makes the results of a run doubtful, in sentences."""
     found = [
         f"The data contradict the machine file at {key}, in {100 * share:.0f} % of the poses. While they do, "
@@ -58,7 +59,7 @@ def warnings_of(run: Mapping[str, Any]) -> list[str]:
     return [f"{text}." for text in (*found, *_unusable(run))]
 
 
-def _unusable(run: Mapping[str, Any]) -> list[str]:
+def _unusable(run: RunFacts) -> list[str]:
     """Recommended values that may not be used."""
     last = run["estimates"].get(RECOMMENDED)
     if last is None:
@@ -73,8 +74,8 @@ def _unusable(run: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def made_section(data: Mapping[str, Any]) -> ReportSection:
-    """data: of the whole report."""
+def made_section(data: ReportData) -> ReportSection:
+    """The command, the logs and their sums, machine files, versions."""
     parts: list[Part] = [ReportText(f"Made by: {data['command']}")] if data.get("command") else []
     parts.append(
         ReportText(
@@ -107,13 +108,13 @@ def made_section(data: Mapping[str, Any]) -> ReportSection:
     return ReportSection("made", "How this was made", tuple(parts))
 
 
-def _results(origin: Mapping[str, Any]) -> str:
+def _results(origin: Origin) -> str:
     if origin["replayed"]:
         return "replayed for this report"
     return f"as recorded, by tilth {origin['recorded_with'].get('version', NOTHING)}"
 
 
-def _versions(runs: Sequence[Mapping[str, Any]]) -> ReportTable:
+def _versions(runs: Sequence[RunFacts]) -> ReportTable:
     """Of the software that recorded each run and of that which made the report."""
     now = runs[0]["origin"]["reported_with"]
     rows = [_version_row("this report", now)]

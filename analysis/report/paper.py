@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import matplotlib
 
@@ -51,20 +51,20 @@ def paper(report: DriveReport) -> bytes:
     return made
 
 
-def content(report: DriveReport) -> dict[str, Any]:
+def content(report: DriveReport) -> dict[str, object]:
     """What paper.typ sets, one part after the other; figures as SVG."""
     parts = [part for section in report.sections for part in _section(section, 1)]
     return {"title": readable(report.title), "parts": parts}
 
 
-def _section(section: ReportSection, level: int) -> Iterator[dict[str, Any]]:
+def _section(section: ReportSection, level: int) -> Iterator[dict[str, object]]:
     yield {"kind": "heading", "level": level, "text": readable(section.title)}
     yield from map(_part, section.parts)
     for inner in section.sections:
         yield from _section(inner, level + 1)
 
 
-def _part(part: Part) -> dict[str, Any]:
+def _part(part: Part) -> dict[str, object]:
     if isinstance(part, ReportTable):
         return _table(part)
     if isinstance(part, ReportFigure):
@@ -73,7 +73,7 @@ def _part(part: Part) -> dict[str, Any]:
     return {"kind": part.kind, "text": readable(part.text)}
 
 
-def _table(part: ReportTable) -> dict[str, Any]:
+def _table(part: ReportTable) -> dict[str, object]:
     """Columns as wide as what is in them; a column of long texts takes what is left."""
     longest = [
         max((max(map(len, row[k].text.split(", "))) for row in part.rows), default=0)

@@ -1,8 +1,8 @@
 """Parameters as they were published during the run, and against the machine file."""
 
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
+from tilth.analysis.report.data import NuisanceFacts, RunFacts
 from tilth.analysis.report.document import (
     WARNING,
     Part,
@@ -31,8 +31,8 @@ FAR: Final = 2.0  # sds from what was assumed: named in words
 _FINE: Final = "estimated"
 
 
-def published_section(run: Mapping[str, Any], id: str) -> ReportSection:
-    """run: as `gather.facts_of` gives it."""
+def published_section(run: RunFacts, id: str) -> ReportSection:
+    """What each method published last, and over time."""
     title = "Parameters as published"
     if not run["estimates"]:
         text = "The log holds no estimates: it was too short, or estimation had not begun when it ended."
@@ -49,7 +49,7 @@ def published_section(run: Mapping[str, Any], id: str) -> ReportSection:
     return ReportSection(f"{id}-published", title, tuple(parts), tuple(sections))
 
 
-def values_table(run: Mapping[str, Any], id: str) -> ReportTable:
+def values_table(run: RunFacts, id: str) -> ReportTable:
     """The last recommended values beside the machine file's."""
     last = run["estimates"][RECOMMENDED]
     rows = []
@@ -70,7 +70,7 @@ def values_table(run: Mapping[str, Any], id: str) -> ReportTable:
     return ReportTable(f"{id}-values", caption, columns, tuple(rows))
 
 
-def _over_time(run: Mapping[str, Any], id: str) -> ReportFigure:
+def _over_time(run: RunFacts, id: str) -> ReportFigure:
     curves = run["curves"]["parameters"]
     changes = [event["t_s"] for event in run["events"] if event["kind"] == EventKind.SOIL_CHANGE]
     names = listed([METHODS[method] for method in curves])
@@ -85,7 +85,7 @@ def _over_time(run: Mapping[str, Any], id: str) -> ReportFigure:
     )  # fmt: skip
 
 
-def _by_method(run: Mapping[str, Any], id: str) -> ReportTable:
+def _by_method(run: RunFacts, id: str) -> ReportTable:
     rows = tuple(
         (
             ReportCell(METHODS[method]),
@@ -99,7 +99,7 @@ def _by_method(run: Mapping[str, Any], id: str) -> ReportTable:
     return ReportTable(f"{id}-methods", caption, ("method", *map(heading_of, PARAMETERS)), rows)
 
 
-def _determined(run: Mapping[str, Any], id: str) -> ReportSection:
+def _determined(run: RunFacts, id: str) -> ReportSection:
     last = run["estimates"][RECOMMENDED]
     parts: list[Part] = []
     reasons: dict[str, list[str]] = {}
@@ -122,7 +122,7 @@ def _determined(run: Mapping[str, Any], id: str) -> ReportSection:
     )
 
 
-def _correlations(run: Mapping[str, Any], id: str) -> ReportSection | None:
+def _correlations(run: RunFacts, id: str) -> ReportSection | None:
     last = run["estimates"][RECOMMENDED]
     covariance = last["log_covariance"]
     known = [name for name in PARAMETERS if last["parameters"][name]["value"] is not None]
@@ -132,7 +132,7 @@ def _correlations(run: Mapping[str, Any], id: str) -> ReportSection | None:
     return ReportSection(f"{id}-correlations", "Correlations", (figure,))
 
 
-def correlation_figure(covariance: Any, known: list[str], id: str, of: str) -> ReportFigure:
+def correlation_figure(covariance: list[list[float]], known: list[str], id: str, of: str) -> ReportFigure:
     """covariance: 6 x 6, of logarithms. known: those of PARAMETERS that have a number."""
     at = [PARAMETERS.index(name) for name in known]
     sd = {k: covariance[k][k] ** 0.5 for k in at}
@@ -148,7 +148,7 @@ def correlation_figure(covariance: Any, known: list[str], id: str, of: str) -> R
     )  # fmt: skip
 
 
-def nuisances_section(run: Mapping[str, Any], id: str) -> ReportSection | None:
+def nuisances_section(run: RunFacts, id: str) -> ReportSection | None:
     """What was found beside the six; None where nothing was."""
     rows = [one for one in run["nuisances"] if one["name"] in WORDS]
     if not rows:
@@ -169,12 +169,12 @@ def nuisances_section(run: Mapping[str, Any], id: str) -> ReportSection | None:
     )
 
 
-def _distance(one: Mapping[str, Any]) -> float:
+def _distance(one: NuisanceFacts) -> float:
     """From what was assumed, in its sds."""
     return float(abs(one["value"] - one["prior"]) / one["prior_sd"]) if one["prior_sd"] > 0 else 0.0
 
 
-def _far_text(one: Mapping[str, Any]) -> str:
+def _far_text(one: NuisanceFacts) -> str:
     words = WORDS[one["name"]]
     found = nuisance_text(one["name"], one["value"], one["sd"])
     stated = nuisance_text(one["name"], one["prior"], one["prior_sd"])
@@ -184,7 +184,7 @@ def _far_text(one: Mapping[str, Any]) -> str:
     )
 
 
-def _nuisance_figure(rows: list[Any], id: str) -> ReportFigure:
+def _nuisance_figure(rows: list[NuisanceFacts], id: str) -> ReportFigure:
     shown = [one for one in rows if one["prior_sd"] > 0]
     furthest = max(shown, key=_distance, default=None)
     told = f" The furthest is {furthest['name']} with {_distance(furthest):.1f} sd." if furthest else ""
@@ -197,7 +197,7 @@ def _nuisance_figure(rows: list[Any], id: str) -> ReportFigure:
     )  # fmt: skip
 
 
-def _nuisance_table(rows: list[Any], id: str) -> ReportTable:
+def _nuisance_table(rows: list[NuisanceFacts], id: str) -> ReportTable:
     cells = tuple(
         (
             ReportCell(one["name"]),

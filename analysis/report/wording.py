@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 from tilth.analysis.report.document import ReportCell
 from tilth.logger.clock import utc_text
+from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import of_logarithm, plus_minus
 
@@ -53,13 +54,12 @@ def parameter_text(parameter: str, value: float | None, sd: float | None, unit: 
     return of_logarithm(value * scale, sd * scale, unit_of(parameter) if unit else "").removesuffix(SAYS)
 
 
-def parameter_cell(parameter: str, found: Mapping[str, Any] | None) -> ReportCell:
-    """Of {"value", "sd", "status"}; a status other than estimated is named."""
-    if not found or found.get("value") is None:
-        return ReportCell(str((found or {}).get("status") or NOTHING))
-    value, sd = found["value"], found.get("sd")
+def parameter_cell(parameter: str, found: ParameterEntry) -> ReportCell:
+    """Of an estimate; a status other than estimated is named."""
+    value, sd, status = found["value"], found["sd"], found["status"]
+    if value is None:
+        return ReportCell(status)
     text = parameter_text(parameter, value, sd) if sd is not None else number(value * scale_of(parameter))
-    status = found.get("status", "estimated")
     return ReportCell(text if status == "estimated" else f"{text} ({status})", value, sd)
 
 

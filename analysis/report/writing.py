@@ -4,7 +4,6 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from tilth.analysis.report.document import DriveReport, figures_of
 from tilth.analysis.report.figures import pdf, svg
@@ -18,7 +17,7 @@ def outputs(out: Path, with_pdf: bool) -> list[Path]:
     return [out, out.with_suffix(".json"), *([out.with_suffix(".pdf")] if with_pdf else [])]
 
 
-def json_text(content: dict[str, Any]) -> str:
+def json_text(content: dict[str, object]) -> str:
     """As it stands in the file; halves of characters, as in names that are not UTF-8, escaped."""
     text = json.dumps(content, allow_nan=False, ensure_ascii=False, indent=1) + "\n"
     return text.encode(errors="backslashreplace").decode()
@@ -26,7 +25,7 @@ def json_text(content: dict[str, Any]) -> str:
 
 def write(
     report: DriveReport,
-    content: dict[str, Any],
+    content: dict[str, object],
     out: Path,
     *,
     with_pdf: bool = False,
@@ -58,7 +57,7 @@ def write(
 
 
 def _contents(
-    report: DriveReport, content: dict[str, Any], out: Path, with_pdf: bool, figures: Path | None
+    report: DriveReport, content: dict[str, object], out: Path, with_pdf: bool, figures: Path | None
 ) -> Iterator[tuple[Path, bytes]]:
     yield out, readable(page(report)).encode()
     yield out.with_suffix(".json"), readable(json_text(content)).encode()

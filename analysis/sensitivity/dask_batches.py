@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple
 
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, end_of, stored_part
 from tilth.schemas.limiter import is_this_computer
+from tilth.schemas.readable import reason_of
 
 INSTALL: Final = "--dask needs Dask: `pip install tilth[dask]`"
 ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
@@ -123,9 +124,8 @@ def _security(distributed: Any, address: str, certificates: Certificates | None)
         context.load_cert_chain(certificates.certificate, certificates.key)
     except OSError as error:  # of what is no PEM too
         name = error.filename or ", ".join(certificates)
-        reason = (error.strerror or str(error)).lower()
         wanted = "give CA, certificate and key, as PEM files"
-        raise DaskProblem(f"--dask-tls {name}: {reason}; {wanted}") from None
+        raise DaskProblem(f"--dask-tls {name}: {reason_of(error)}; {wanted}") from None
     return distributed.Security(
         require_encryption=True, tls_ca_file=certificates.ca,
         tls_client_cert=certificates.certificate, tls_client_key=certificates.key,

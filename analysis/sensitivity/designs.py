@@ -5,7 +5,7 @@ the work is shared out.
 """
 
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,7 +168,7 @@ def _by_block(seed: int, start: int, stop: int, k: int, *, normal: bool) -> Arra
     return np.concatenate(drawn)[start - first * BLOCK : stop - first * BLOCK]
 
 
-def described(design: Design) -> dict[str, Any]:
+def described(design: Design) -> DesignAnswer:
     """For JSON and people: what rigs these are."""
     if isinstance(design, LogNormal):
         what = f"{design.size} random rigs, by the covariance of a log's estimates"

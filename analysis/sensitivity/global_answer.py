@@ -1,11 +1,12 @@
 """What `tilth sensitivity --global` answers, as plain data: sensitivities over many rigs, what makes the
 variance of each output, and where rigs are unstable."""
 
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from tilth.analysis.sensitivity.accumulators import Kept, mean, quantile, spread
+from tilth.analysis.sensitivity.answers import Domain, GlobalAnswer, GlobalRow, IndicesAnswer, finite
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part
 from tilth.analysis.sensitivity.stable_domain import Corner, clearest, pair_answer
 from tilth.estimator.models.family import model_named
@@ -15,14 +16,9 @@ INDICES: Final = ("sobol_first", "sobol_total", "morris", "dgsm_bound")
 _UNITS: Final = {row.name: row.unit for row in RIG_PARAMETERS}
 
 
-def global_answer(plan: GlobalPlan, part: Part) -> dict[str, Any]:
-    """Keys "points", "simulations", "global_outputs", "unstable_share", "global", "global_stable",
-    "unstable_by_level", "unstable_where", "unstable_domain", "unstable_pairs".
-
-    global: {parameter: {"mean", "sd", "median", "q05", "q95", "sobol_first": None, "sobol_total": None,
-    "by_output": {output: the same keys}}}; the outer numbers are of the mean over "global_outputs" (6.17), as
-    `with_indices` fills them in. global_stable: without the indices, of stable points alone.
-    """
+def global_answer(plan: GlobalPlan, part: Part) -> GlobalAnswer:
+    """Without the indices, which `with_indices` fills in. The outer numbers of "global" are of the mean over
+    the outputs (6.17)."""
     design = plan.design
     counts = {
         name: (np.diagonal(part.unstable[k, k]), np.diagonal(part.there[k, k]))
@@ -41,14 +37,14 @@ def global_answer(plan: GlobalPlan, part: Part) -> dict[str, Any]:
             name: (bad / np.maximum(there, 1)).tolist() for name, (bad, there) in counts.items()
         },
         "unstable_where": _where(plan, part),
-        "unstable_domain": None if domain is None else {"text": in_words(domain), **domain._asdict()},
+        "unstable_domain": _domain(domain),
         "unstable_pairs": pair_answer(
             model_named(plan.model), plan.rig, plan.speed, design, part.there, part.unstable
         ),
     }
 
 
-def _numbers(plan: GlobalPlan, kept: Kept, *, indices: bool) -> dict[str, Any]:
+def _numbers(plan: GlobalPlan, kept: Kept, *, indices: bool) -> dict[str, GlobalRow]:
     columns = {
         "mean": mean(kept),
         "sd": spread(kept),
@@ -57,10 +53,10 @@ def _numbers(plan: GlobalPlan, kept: Kept, *, indices: bool) -> dict[str, Any]:
         "q95": quantile(kept, 0.95),
     }
     shape = (len(plan.design.names), len(plan.measures))
-    found: dict[str, Any] = {}
+    found: dict[str, GlobalRow] = {}
     for k, name in enumerate(plan.design.names):
-        rows = [
-            {key: _or_none(float(values.reshape(shape)[k, m])) for key, values in columns.items()}
+        rows: list[Any] = [
+            {key: finite(float(values.reshape(shape)[k, m])) for key, values in columns.items()}
             for m in range(shape[1])
         ]
         empty = dict.fromkeys(INDICES[:2]) if indices else {}
@@ -69,18 +65,13 @@ def _numbers(plan: GlobalPlan, kept: Kept, *, indices: bool) -> dict[str, Any]:
     return found
 
 
-def with_indices(answer: dict[str, Any], found: dict[str, Any]) -> None:
+def with_indices(answer: GlobalAnswer, found: IndicesAnswer) -> None:
     """Fill what `indices_answer` found into "global" of a `global_answer`; its counts become "indices"."""
     for name, row in answer["global"].items():
-        row |= found["overall"][name]
+        row.update(cast("GlobalRow", found["overall"][name]))
         for output, rows in found["outputs"].items():
-            row["by_output"].setdefault(output, {})
-            row["by_output"][output] |= rows[name]
-    answer["indices"] = {key: found[key] for key in ("points", "lost")}
-
-
-def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+            row["by_output"].setdefault(output, {}).update(cast("GlobalRow", rows[name]))
+    answer["indices"] = {"points": found["points"], "lost": found["lost"]}
 
 
 def _where(plan: GlobalPlan, part: Part) -> str:
@@ -93,6 +84,10 @@ def _where(plan: GlobalPlan, part: Part) -> str:
         if max(row[0], row[-1]) >= 2 * min(row[0], row[-1]):
             said.append(f"{name} {'high' if row[-1] > row[0] else 'low'}")
     return f"unstable: {', '.join(said)}" if said else "unstable points lie all over the box"
+
+
+def _domain(corner: Corner | None) -> Domain | None:
+    return None if corner is None else cast("Domain", {"text": in_words(corner), **corner._asdict()})
 
 
 def in_words(corner: Corner) -> str:

@@ -1,7 +1,6 @@
 """The sections of a report that tell of sensitivities over many rigs: Karkee (2009), figure 6.10."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
 from tilth.analysis.report.document import (
     Part,
@@ -12,12 +11,11 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.analysis.report.wording import NOTHING, listed, number
+from tilth.analysis.sensitivity.answers import DesignAnswer, GlobalRow, Interval, LocalEntry, SensitivityData
 
-COLUMNS = ("mean", "median", "q05", "q95")
 
-
-def global_section(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportSection:
-    """data: of the whole report, with "design". entry: of "speeds", with the keys of `global_answer`."""
+def global_section(data: SensitivityData, entry: LocalEntry) -> ReportSection:
+    """entry: one that has them."""
     key = f"{entry['model']}-global-{entry['speed']:g}".replace(".", "-")
     design = data["design"]
     parts: list[Part] = [
@@ -42,12 +40,13 @@ def global_section(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportS
     return ReportSection(key, title, tuple(parts))
 
 
-def _table(entry: Mapping[str, Any], key: str) -> ReportTable:
+def _table(entry: LocalEntry, key: str) -> ReportTable:
+    stable = entry["global_stable"]
     rows = tuple(
         (
             ReportCell(name),
-            *(_cell(row[column]) for column in COLUMNS),
-            *(_cell(entry["global_stable"][name][column]) for column in ("mean", "median")),
+            *map(_cell, (row["mean"], row["median"], row["q05"], row["q95"])),
+            *map(_cell, (stable[name]["mean"], stable[name]["median"])),
         )
         for name, row in _sorted(entry)
     )
@@ -59,7 +58,7 @@ def _table(entry: Mapping[str, Any], key: str) -> ReportTable:
     return ReportTable(f"{key}-table", caption, columns, rows)
 
 
-def _sorted(entry: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+def _sorted(entry: LocalEntry) -> list[tuple[str, GlobalRow]]:
     return sorted(entry["global"].items(), key=lambda pair: -(pair[1]["median"] or 0.0))
 
 
@@ -67,7 +66,7 @@ def _cell(value: float | None) -> ReportCell:
     return ReportCell(NOTHING) if value is None else ReportCell(number(value, 3), value)
 
 
-def _spreads(entry: Mapping[str, Any], key: str) -> ReportFigure:
+def _spreads(entry: LocalEntry, key: str) -> ReportFigure:
     rows = [
         {"name": name, "low": row["q05"], "high": row["q95"], "median": row["median"], "mean": row["mean"]}
         for name, row in _sorted(entry)
@@ -82,16 +81,22 @@ def _spreads(entry: Mapping[str, Any], key: str) -> ReportFigure:
     )
 
 
-def with_interval(found: Mapping[str, float | None]) -> str:
+def with_interval(found: Interval | None) -> str:
     """An index and its 95 % interval."""
-    value, low, high = (found[key] for key in ("value", "low", "high"))
+    if found is None:
+        return NOTHING
+    value, low, high = found["value"], found["low"], found["high"]
     if value is None or low is None or high is None:
         return NOTHING
     return f"{value:.2f} ± {(high - low) / 2:.2f}"
 
 
-def outputs_with_indices(entry: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """{output: {parameter: its indices}} of an entry of "speeds"; the largest total index first."""
+def _value(found: Interval | None) -> float | None:
+    return None if found is None else found["value"]
+
+
+def outputs_with_indices(entry: LocalEntry) -> dict[str, dict[str, GlobalRow]]:
+    """output -> parameter -> with its indices; the largest total index first."""
     if "indices" not in entry:
         return {}
     first = next(iter(entry["global"].values()))
@@ -99,14 +104,14 @@ def outputs_with_indices(entry: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         output: dict(
             sorted(
                 ((name, row["by_output"][output]) for name, row in entry["global"].items()),
-                key=lambda pair: -(pair[1]["sobol_total"]["value"] or 0.0),
+                key=lambda pair: -(_value(pair[1]["sobol_total"]) or 0.0),
             )
         )
         for output in first["by_output"]
     }
 
 
-def _indices(entry: Mapping[str, Any], key: str) -> list[Part]:
+def _indices(entry: LocalEntry, key: str) -> list[Part]:
     """A table of each output."""
     found = entry["indices"]
     parts: list[Part] = []
@@ -121,8 +126,8 @@ def _indices(entry: Mapping[str, Any], key: str) -> list[Part]:
         cells = tuple(
             (
                 ReportCell(name),
-                ReportCell(with_interval(row["sobol_first"]), row["sobol_first"]["value"]),
-                ReportCell(with_interval(row["sobol_total"]), row["sobol_total"]["value"]),
+                ReportCell(with_interval(row["sobol_first"]), _value(row["sobol_first"])),
+                ReportCell(with_interval(row["sobol_total"]), _value(row["sobol_total"])),
                 _cell(None if row["morris"] is None else row["morris"]["size"]),
                 _cell(None if row["morris"] is None else row["morris"]["spread"]),
                 _cell(row["dgsm_bound"]),
@@ -139,9 +144,9 @@ def _indices(entry: Mapping[str, Any], key: str) -> list[Part]:
     return parts
 
 
-def _unstable(design: Mapping[str, Any], entry: Mapping[str, Any], key: str) -> ReportFigure:
-    lows = design.get("low") or [None] * len(design["names"])
-    highs = design.get("high") or [None] * len(design["names"])
+def _unstable(design: DesignAnswer, entry: LocalEntry, key: str) -> ReportFigure:
+    lows: Sequence[float | None] = design.get("low") or [None] * len(design["names"])
+    highs: Sequence[float | None] = design.get("high") or [None] * len(design["names"])
     panels = [
         {
             "title": name,
@@ -161,7 +166,7 @@ def _unstable(design: Mapping[str, Any], entry: Mapping[str, Any], key: str) -> 
     )
 
 
-def _pairs(entry: Mapping[str, Any], key: str) -> list[Part]:
+def _pairs(entry: LocalEntry, key: str) -> list[Part]:
     """Where rigs are unstable in two parameters at once."""
     shown = entry["unstable_pairs"]
     figure = ReportFigure(

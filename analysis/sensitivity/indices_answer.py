@@ -3,17 +3,20 @@
 import os
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final
+from itertools import product
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.fit.side_by_side import Map, side_by_side
+from tilth.analysis.sensitivity.answers import Indices, IndicesAnswer, Interval, finite
 from tilth.analysis.sensitivity.designs import Design, LogNormal
 from tilth.analysis.sensitivity.indices import (
     POINTS,
     SCRAMBLES,
     Inputs,
+    SobolIndices,
     dgsm,
     morris,
     of_box,
@@ -37,14 +40,8 @@ def inputs_of(design: Design) -> Inputs:
     return of_box(design.box)
 
 
-def indices_answer(plan: GlobalPlan, outputs: Sequence[str], workers: int | None = None) -> dict[str, Any]:
-    """{"points", "lost", "overall": {parameter: {"sobol_first": {"value", "low", "high"}, "sobol_total": …}},
-    "outputs": {output: {parameter: {"sobol_first", "sobol_total", "morris": {"size", "spread"},
-    "dgsm_bound"}}}}. overall: the mean of the indices of plan.outputs. workers: processes.
-
-    Of the change of each output against the rig's own. lost: share of points that have no answer, or are
-    compared with one that has none. The last two only for a box: None else. Raises ValueError, Unstable.
-    """
+def indices_answer(plan: GlobalPlan, outputs: Sequence[str], workers: int | None = None) -> IndicesAnswer:
+    """Of the change of each output against the rig's own. workers: processes. Raises ValueError, Unstable."""
     inputs = inputs_of(plan.design)
     case = case_of(model_named(plan.model), plan.rig, plan.speed, plan.seconds, steering=plan.steering)
     asked = Asked(case, plan.rig, inputs.names)
@@ -55,31 +52,24 @@ def indices_answer(plan: GlobalPlan, outputs: Sequence[str], workers: int | None
         found = sobol(ask, inputs)
         screened = None if inputs.median else (morris(ask, inputs), dgsm(ask, inputs)[0])
     together = found.of_mean([told.index(name) for name in plan.outputs])
-    overall = {
-        name: {
-            "sobol_first": _interval(together.first[k, 0], together.first_half[k, 0]),
-            "sobol_total": _interval(together.total[k, 0], together.total_half[k, 0]),
-        }
-        for k, name in enumerate(inputs.names)
-    }
-    answer: dict[str, Any] = {}
-    for m, output in enumerate(told):
-        answer[output] = {}
-        for k, name in enumerate(inputs.names):
-            row: dict[str, Any] = {
-                "sobol_first": _interval(found.first[k, m], found.first_half[k, m]),
-                "sobol_total": _interval(found.total[k, m], found.total_half[k, m]),
-                "morris": None,
-                "dgsm_bound": None,
-            }
-            if screened is not None:
-                effects, bound = screened
-                row["morris"] = {
-                    "size": _plain(effects.size[k, m]), "spread": _plain(effects.spread[k, m])
-                }  # fmt: skip
-                row["dgsm_bound"] = _plain(bound[k, m])
-            answer[output][name] = row
+    overall = {name: _pair(together, k, 0) for k, name in enumerate(inputs.names)}
+    answer: dict[str, dict[str, Indices]] = {output: {} for output in told}
+    for (m, output), (k, name) in product(enumerate(told), enumerate(inputs.names)):
+        row: Indices = {**_pair(found, k, m), "morris": None, "dgsm_bound": None}
+        if screened is not None:
+            effects, bound = screened
+            row["morris"] = {"size": finite(effects.size[k, m]), "spread": finite(effects.spread[k, m])}
+            row["dgsm_bound"] = finite(bound[k, m])
+        answer[output][name] = row
     return {"points": POINTS * SCRAMBLES, "lost": found.lost, "overall": overall, "outputs": answer}
+
+
+def _pair(found: SobolIndices, k: int, m: int) -> Indices:
+    """Of parameter k and output m."""
+    return {
+        "sobol_first": _interval(found.first[k, m], found.first_half[k, m]),
+        "sobol_total": _interval(found.total[k, m], found.total_half[k, m]),
+    }
 
 
 def _ask(asked: Asked, columns: list[int], each: Map, points: Array) -> Array:
@@ -87,9 +77,5 @@ def _ask(asked: Asked, columns: list[int], each: Map, points: Array) -> Array:
     return np.concatenate(list(each(outputs_of, [asked] * len(pieces), pieces)))[:, columns]
 
 
-def _interval(value: float, half: float) -> dict[str, float | None]:
-    return {"value": _plain(value), "low": _plain(value - half), "high": _plain(value + half)}
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _interval(value: float, half: float) -> Interval:
+    return {"value": finite(value), "low": finite(value - half), "high": finite(value + half)}

@@ -3,14 +3,24 @@
 Source: Karkee (2009), section 6.3.1, figures 6.3 to 6.9. Figure 6.9 is drawn at ANOTHER_POINT.
 """
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.report.curves import numbers
+from tilth.analysis.sensitivity.answers import (
+    ChangedCurves,
+    FrequencyAnswer,
+    FrequencyEntry,
+    LocalAnswer,
+    LocalEntry,
+    Numbers,
+    Refused,
+    Values,
+    finite,
+)
 from tilth.analysis.sensitivity.frequency import TRANSFERS, frequency_sensitivities
 from tilth.analysis.sensitivity.local import LocalSensitivities, local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import NAMES, STEP, STEP_S, Unstable, case_of, respond
@@ -42,36 +52,25 @@ class LocalQuestion(NamedTuple):
     steering: str = STEP
 
 
-def local_answer(rig: Rig, question: LocalQuestion) -> dict[str, Any]:
-    """Keys "step", "input", "speeds", "refused".
-
-    speeds: [{"speed", "model", "seconds", "outputs", "local": {parameter: {output: value, …, "overall"}}}], a
-    value in per cent of the output for each per cent of the parameter, None where it has none. refused:
-    [{"speed", "model", "reason"}]. Raises ValueError where nothing can be answered.
-    """
-    speeds: list[dict[str, Any]] = []
-    refused: list[dict[str, Any]] = []
+def local_answer(rig: Rig, question: LocalQuestion) -> LocalAnswer:
+    """Raises ValueError where nothing can be answered."""
+    speeds: list[LocalEntry] = []
+    refused: list[Refused] = []
     for model in question.models:
         for speed, seconds in zip(question.speeds, question.seconds, strict=True):
-            at = {"speed": speed, "model": model.name}
             try:
                 found = local_sensitivities(
-                    model,
-                    rig,
-                    speed,
-                    seconds=seconds,
-                    steering=question.steering,
+                    model, rig, speed, seconds=seconds, steering=question.steering,
                     parameters=question.parameters,
-                )
+                )  # fmt: skip
             except Unstable as error:
-                refused.append(at | {"reason": str(error)})
+                refused.append({"speed": speed, "model": model.name, "reason": str(error)})
                 continue
             values = found.derivative if question.exact else found.step
-            speeds.append(
-                at
-                | {"seconds": found.case.seconds, "outputs": list(question.outputs)}
-                | {"local": table_of(found, values, question.outputs)}
-            )
+            speeds.append({
+                "speed": speed, "model": model.name, "seconds": found.case.seconds,
+                "outputs": list(question.outputs), "local": table_of(found, values, question.outputs),
+            })  # fmt: skip
     if not speeds:
         raise ValueError(refused[0]["reason"])
     return {
@@ -82,24 +81,20 @@ def local_answer(rig: Rig, question: LocalQuestion) -> dict[str, Any]:
     }
 
 
-def table_of(found: LocalSensitivities, values: Array, outputs: Sequence[str]) -> dict[str, Any]:
-    """{parameter: {output: value, …, "overall": value}}. values: (parameters, outputs.NAMES)."""
+def table_of(found: LocalSensitivities, values: Array, outputs: Sequence[str]) -> dict[str, Values]:
+    """By parameter. values: (parameters, outputs.NAMES)."""
     means = overall(values)
     columns = [NAMES.index(name) for name in outputs]
     return {
         parameter: {
-            **{name: _plain(values[k, at]) for name, at in zip(outputs, columns, strict=True)},
-            OVERALL: _plain(means[k]),
+            **{name: finite(values[k, at]) for name, at in zip(outputs, columns, strict=True)},
+            OVERALL: finite(means[k]),
         }
         for k, parameter in enumerate(found.parameters)
     }
 
 
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def another_point(rig: Rig, question: LocalQuestion) -> dict[str, Any] | None:
+def another_point(rig: Rig, question: LocalQuestion) -> LocalAnswer | None:
     """Of figure 6.9: `local_answer` of the rig at ANOTHER_POINT; None where it is unstable at every speed."""
     try:
         return local_answer(scaled(rig, dict(ANOTHER_POINT)), question)
@@ -108,13 +103,13 @@ def another_point(rig: Rig, question: LocalQuestion) -> dict[str, Any] | None:
 
 
 def changed_curves(
-    rig: Rig, model: Model, speeds: Sequence[Mapping[str, Any]], steering: str = STEP
-) -> dict[str, Any]:
-    """Of figures 6.6 and 6.7: {parameter: [{"speed", "t_s", "reference", "changed"}]}, yaw rates in rad/s.
+    rig: Rig, model: Model, speeds: Sequence[LocalEntry], steering: str = STEP
+) -> dict[str, list[ChangedCurves]]:
+    """Of figures 6.6 and 6.7, by parameter.
 
     speeds: entries of `local_answer` of that model; both rigs get the same input for as long.
     """
-    found: dict[str, Any] = {name: [] for name in CHANGED}
+    found: dict[str, list[ChangedCurves]] = {name: [] for name in CHANGED}
     for entry in speeds:
         case = case_of(model, rig, entry["speed"], entry["seconds"], steering=steering)
         spaced = np.geomspace if steering == STEP else np.linspace  # a step answers most at once
@@ -131,14 +126,10 @@ def changed_curves(
 
 def frequency_answer(
     rig: Rig, model: Model, speeds: Sequence[float], parameters: Sequence[str]
-) -> dict[str, Any]:
-    """{"omega", "speeds": [{"speed", "transfers": {output: {"gain": {parameter: […]}, "phase": …}}}]}.
-
-    rad/s; gain in per cent for each per cent of the parameter, phase in rad for each unit of its logarithm.
-    Raises ValueError for an unknown name.
-    """
-    rows = []
-    omega: list[float | None] = []
+) -> FrequencyAnswer:
+    """Raises ValueError for an unknown name."""
+    rows: list[FrequencyEntry] = []
+    omega: Numbers = []
     for speed in speeds:
         found = frequency_sensitivities(model, rig, speed, parameters=parameters)
         omega = numbers(found.omega)

@@ -2,7 +2,7 @@
 frequency domain."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final
+from typing import Final, TypedDict
 
 from tilth.analysis.report.document import (
     WARNING,
@@ -15,6 +15,16 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.analysis.report.wording import NOTHING, fixed, listed
+from tilth.analysis.sensitivity.answers import (
+    ChangedCurves,
+    FrequencyAnswer,
+    FrequencyEntry,
+    LocalEntry,
+    Numbers,
+    SensitivityData,
+    UncertaintyData,
+    Values,
+)
 from tilth.analysis.sensitivity.global_page import global_section
 from tilth.analysis.sensitivity.local_answer import BY, OVERALL
 from tilth.analysis.sensitivity.outputs import OUTPUTS, SIX
@@ -38,9 +48,19 @@ _TRANSFERS: Final = {
 }
 
 
-def local_report(data: Mapping[str, Any]) -> DriveReport:
-    """data, plain: "machine", "command", the keys of `local_answer`, and, by model, "another", "curves",
-    "frequency" as local_answer.py makes them; "made": versions and the machine file's sum."""
+class SlopeLine(TypedDict):
+    name: str
+    gain: Numbers
+    phase: Numbers
+
+
+class SlopePanel(TypedDict):
+    title: str
+    lines: list[SlopeLine]
+
+
+def local_report(data: SensitivityData) -> DriveReport:
+    """Its sections by model."""
     models = list(dict.fromkeys(entry["model"] for entry in data["speeds"]))
     sections = [_short(data)]
     sections += [global_section(data, entry) for entry in data["speeds"] if "global" in entry]
@@ -56,7 +76,7 @@ def local_report(data: Mapping[str, Any]) -> DriveReport:
     return DriveReport(f"Sensitivity: {data['machine']}", tuple(sections), data)
 
 
-def _short(data: Mapping[str, Any]) -> ReportSection:
+def _short(data: SensitivityData) -> ReportSection:
     parts: list[Part] = [ReportText(f"{one['reason']}.", WARNING) for one in data["refused"]]
     for entry in data["speeds"]:
         first = largest(entry["local"])[:4]
@@ -79,12 +99,12 @@ def _short(data: Mapping[str, Any]) -> ReportSection:
     return ReportSection("short", "In short", tuple(parts))
 
 
-def largest(local: Mapping[str, Mapping[str, float | None]]) -> list[str]:
+def largest(local: Mapping[str, Values]) -> list[str]:
     """Parameters by their overall sensitivity, the largest first."""
     return sorted(local, key=lambda name: -(local[name][OVERALL] or 0.0))
 
 
-def _tables(entries: Sequence[Mapping[str, Any]], model: str) -> ReportSection:
+def _tables(entries: Sequence[LocalEntry], model: str) -> ReportSection:
     idle = [name for name in entries[0]["local"] if not any(_acts(entry, name) for entry in entries)]
     parts: list[Part] = []
     if idle:
@@ -95,33 +115,24 @@ def _tables(entries: Sequence[Mapping[str, Any]], model: str) -> ReportSection:
         others = [name for name in entry["outputs"] if name not in SIX]
         if others:
             parts.append(_table(entry, model, "others", others, idle))
-    told = {output.name: output for output in OUTPUTS}
-    shown = entries[0]["outputs"]
-    parts.append(
-        ReportTable(
-            f"{model}-outputs",
-            "What the outputs are.",
-            ("output", "meaning"),
-            tuple((ReportCell(name), ReportCell(told[name].meaning)) for name in shown),
+    told = {output.name: output.meaning for output in OUTPUTS}
+    for what, names, meanings in (
+        ("output", entries[0]["outputs"], told),
+        ("parameter", list(entries[0]["local"]), MEANINGS),
+    ):
+        rows = tuple((ReportCell(name), ReportCell(meanings[name])) for name in names)
+        parts.append(
+            ReportTable(f"{model}-{what}s", f"What the {what}s are.", (what, "meaning"), rows),
         )
-    )
-    parts.append(
-        ReportTable(
-            f"{model}-parameters",
-            "What the parameters are.",
-            ("parameter", "meaning"),
-            tuple((ReportCell(name), ReportCell(MEANINGS[name])) for name in entries[0]["local"]),
-        )
-    )
     return ReportSection(f"{model}-tables", "By output and parameter", tuple(parts))
 
 
-def _acts(entry: Mapping[str, Any], name: str) -> bool:
+def _acts(entry: LocalEntry, name: str) -> bool:
     return any(entry["local"][name].values())
 
 
 def _table(
-    entry: Mapping[str, Any], model: str, which: str, outputs: Sequence[str], idle: Sequence[str]
+    entry: LocalEntry, model: str, which: str, outputs: Sequence[str], idle: Sequence[str]
 ) -> ReportTable:
     rows = tuple(
         (ReportCell(name), *(_cell(entry["local"][name][output]) for output in outputs))
@@ -133,7 +144,7 @@ def _table(
     return ReportTable(f"{model}-{which}-{_key(entry)}", caption, ("", *outputs), rows)
 
 
-def _key(entry: Mapping[str, Any]) -> str:
+def _key(entry: LocalEntry) -> str:
     return f"{entry['speed']:g}".replace(".", "-")
 
 
@@ -141,7 +152,7 @@ def _cell(value: float | None) -> ReportCell:
     return ReportCell(NOTHING) if value is None else ReportCell(f"{value:.3f}", value)
 
 
-def _by_group(entries: Sequence[Mapping[str, Any]], model: str) -> ReportSection:
+def _by_group(entries: Sequence[LocalEntry], model: str) -> ReportSection:
     parts: list[Part] = []
     for number, (group, names) in enumerate(GROUPS.items(), 3):
         there = [
@@ -172,9 +183,7 @@ def _by_group(entries: Sequence[Mapping[str, Any]], model: str) -> ReportSection
     return ReportSection(f"{model}-groups", "Which output hangs on what", tuple(parts))
 
 
-def _overall_section(
-    data: Mapping[str, Any], entries: Sequence[Mapping[str, Any]], model: str
-) -> ReportSection:
+def _overall_section(data: SensitivityData, entries: Sequence[LocalEntry], model: str) -> ReportSection:
     order = largest(entries[-1]["local"])
     parts: list[Part] = [
         _overall_figure(
@@ -198,7 +207,7 @@ def _overall_section(
 
 
 def _overall_figure(
-    id: str, caption: str, order: Sequence[str], entries: Sequence[Mapping[str, Any]]
+    id: str, caption: str, order: Sequence[str], entries: Sequence[LocalEntry]
 ) -> ReportFigure:
     series = [
         {"name": f"{e['speed']:g} m/s", "values": [e["local"][name][OVERALL] for name in order]}
@@ -210,7 +219,7 @@ def _overall_figure(
     )  # fmt: skip
 
 
-def _curves(curves: Mapping[str, Any], model: str) -> ReportSection:
+def _curves(curves: Mapping[str, Sequence[ChangedCurves]], model: str) -> ReportSection:
     parts = tuple(
         ReportFigure(
             f"{model}-changed-{name}", "changed",
@@ -218,14 +227,14 @@ def _curves(curves: Mapping[str, Any], model: str) -> ReportSection:
             f"larger. Figure {figure} of the dissertation.",
             f"Two curves for each of {len(shown)} speeds.",
             {"name": f"{name} + {100 * (BY - 1):.0f} %",
-             "panels": [one | {"title": f"{one['speed']:g} m/s"} for one in shown]},
+             "panels": [{**one, "title": f"{one['speed']:g} m/s"} for one in shown]},
         )
         for figure, (name, shown) in zip(("6.6", "6.7"), curves.items(), strict=True)
     )  # fmt: skip
     return ReportSection(f"{model}-curves", "What a change looks like", parts)
 
 
-def _frequency(found: Mapping[str, Any], model: str) -> ReportSection:
+def _frequency(found: FrequencyAnswer, model: str) -> ReportSection:
     parts: list[Part] = [
         ReportText(
             "How gain and phase of each transfer function from the wheel angle change when a parameter grows "
@@ -237,7 +246,7 @@ def _frequency(found: Mapping[str, Any], model: str) -> ReportSection:
     return ReportSection(f"{model}-frequency", f"Over frequency, {model} model", tuple(parts))
 
 
-def _frequency_figures(found: Mapping[str, Any], model: str) -> Iterator[ReportFigure]:
+def _frequency_figures(found: FrequencyAnswer, model: str) -> Iterator[ReportFigure]:
     for output, words in _TRANSFERS.items():
         for group, what, names in (
             ("tyres", "soil and tyres", GROUPS["cornering stiffness"] + GROUPS["relaxation lengths"]),
@@ -259,10 +268,10 @@ def _frequency_figures(found: Mapping[str, Any], model: str) -> Iterator[ReportF
             )
 
 
-def _panel(at: Mapping[str, Any], output: str, names: Sequence[str]) -> dict[str, Any]:
+def _panel(at: FrequencyEntry, output: str, names: Sequence[str]) -> SlopePanel:
     """Without parameters that do nothing at all."""
     curves = at["transfers"][output]
-    lines = [
+    lines: list[SlopeLine] = [
         {"name": name, "gain": curves["gain"][name], "phase": curves["phase"][name]}
         for name in names
         if name in curves["gain"] and (any(curves["gain"][name]) or any(curves["phase"][name]))
@@ -270,7 +279,7 @@ def _panel(at: Mapping[str, Any], output: str, names: Sequence[str]) -> dict[str
     return {"title": f"{at['speed']:g} m/s", "lines": lines}
 
 
-def made_section(data: Mapping[str, Any]) -> ReportSection:
+def made_section(data: SensitivityData | UncertaintyData) -> ReportSection:
     """The command, the machine file's sum and versions: of all reports without a log."""
     made = data["made"]
     rows = [("machine file, SHA-256", made["machine_sha256"])]

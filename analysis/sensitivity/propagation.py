@@ -7,13 +7,24 @@ output's changes (outputs.products). Draws of rigs that are unstable have no out
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from tilth.analysis.fit.side_by_side import Map, side_by_side
+from tilth.analysis.sensitivity.answers import (
+    AloneAnswer,
+    Assumed,
+    OutputAnswer,
+    Refused,
+    UncertaintyAnswer,
+    UncertaintyEntry,
+    Values,
+    WantedAnswer,
+    finite,
+)
 from tilth.analysis.sensitivity.designs import log_normal
 from tilth.analysis.sensitivity.knowledge import Knowledge
 from tilth.analysis.sensitivity.local import response_slope
@@ -94,28 +105,22 @@ def per_unit(case: Case, rig: Rig) -> Array:
         return np.asarray(np.where(own, 1.0, 1.0 / sizes(case, respond(case, rig))))
 
 
-def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> dict[str, Any]:
-    """Keys "source", "input", "parameters", "speeds", "refused".
-
-    parameters: {name: {"median", "log_sd"}}. speeds: [{"speed", "model", "seconds", "draws",
-    "unstable_share", "outputs": {output: as `_output`}}]. refused: [{"speed", "model", "reason"}]. Raises
-    ValueError where nothing can be answered, and for a covariance that is not positive definite.
-    """
-    speeds: list[dict[str, Any]] = []
-    refused: list[dict[str, Any]] = []
+def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> UncertaintyAnswer:
+    """Raises ValueError where nothing can be answered, and for a covariance that is not positive definite."""
+    speeds: list[UncertaintyEntry] = []
+    refused: list[Refused] = []
     with side_by_side(2) as each:
         for model in question.models:
             for speed, seconds in zip(question.speeds, question.seconds, strict=True):
-                at = {"speed": speed, "model": model.name}
                 try:
                     case = case_of(model, known.rig, speed, seconds, steering=question.steering)
                 except Unstable as error:
-                    refused.append(at | {"reason": str(error)})
+                    refused.append({"speed": speed, "model": model.name, "reason": str(error)})
                     continue
-                speeds.append(at | _at_speed(case, known, question, each))
+                speeds.append(_at_speed(case, known, question, each))
     if not speeds:
         raise ValueError(refused[0]["reason"])
-    parameters = {
+    parameters: dict[str, Assumed] = {
         name: {"median": float(median), "log_sd": float(sd)}
         for name, median, sd in zip(known.names, known.median, known.log_sd, strict=True)
     }
@@ -128,7 +133,7 @@ def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> dict[
     }
 
 
-def _at_speed(case: Case, known: Knowledge, question: UncertaintyQuestion, each: Map) -> dict[str, Any]:
+def _at_speed(case: Case, known: Knowledge, question: UncertaintyQuestion, each: Map) -> UncertaintyEntry:
     asked = Asked(case, known.rig, known.names)
     groups = [
         log_normal(
@@ -144,7 +149,7 @@ def _at_speed(case: Case, known: Knowledge, question: UncertaintyQuestion, each:
     per = per_unit(case, known.rig)
     changes = [response_slope(case, known.rig, name) for name in known.names]
     terms = products(case, changes) * per[:, None, None] ** 2 * known.log_covariance
-    outputs = {}
+    outputs: dict[str, OutputAnswer] = {}
     for name in question.outputs:
         k = NAMES.index(name)
         spread = [values[:, k] for values in drawn]
@@ -154,6 +159,8 @@ def _at_speed(case: Case, known: Knowledge, question: UncertaintyQuestion, each:
             outputs[name]["wanted"] = wanted(question.wanted[name], known, terms[k])
     whole = drawn[FACTORS.index(1.0)]
     return {
+        "speed": case.speed,
+        "model": case.model.name,
         "seconds": case.seconds,
         "draws": question.draws,
         "unstable_share": float(np.mean(np.isnan(whole[:, 0]))),
@@ -175,11 +182,8 @@ def _through(asked: Asked, groups: Sequence[Array], each: Map) -> list[Array]:
     return np.split(found, np.cumsum([len(group) for group in groups])[:-1])
 
 
-def _output(unit: str, drawn: Sequence[Array], alone: Mapping[str, Array], terms: Array) -> dict[str, Any]:
-    """{"unit", "low", "high" (95 %), "half" (of that interval), "first_order" (half), "parameters": {name:
-    {"low", "high", "share"}}, "growth": {"factors", "half", "first_order"}, "histogram": {"edges",
-    "counts"}}; shares are of the variance in the first order, and of correlated parameters may be negative.
-    """
+def _output(unit: str, drawn: Sequence[Array], alone: Mapping[str, Array], terms: Array) -> OutputAnswer:
+    """terms: of the variance in the first order, (parameters, parameters)."""
     total = float(terms.sum())
     sd = float(np.sqrt(max(total, 0.0))) if np.isfinite(total) else np.nan
     good = drawn[FACTORS.index(1.0)]
@@ -189,21 +193,21 @@ def _output(unit: str, drawn: Sequence[Array], alone: Mapping[str, Array], terms
     good = good[np.isfinite(good)]
     shown = tuple(np.quantile(good, MIDDLE).tolist()) if good.size else (0.0, 1.0)
     counts, edges = np.histogram(good, _BINS, range=(shown[0], shown[1]))
-    parameters = {}
+    parameters: dict[str, AloneAnswer] = {}
     for (name, values), part in zip(alone.items(), shares, strict=True):
         below, above = (side if abs(side) > ROUNDING * (high - low) else 0.0 for side in within(values))
-        parameters[name] = {"low": _plain(below), "high": _plain(above), "share": _plain(part)}
+        parameters[name] = {"low": finite(below), "high": finite(above), "share": finite(part)}
     return {
         "unit": unit,
-        "low": _plain(low),
-        "high": _plain(high),
-        "half": _plain((high - low) / 2),
-        "first_order": _plain(WITHIN * sd),
+        "low": finite(low),
+        "high": finite(high),
+        "half": finite((high - low) / 2),
+        "first_order": finite(WITHIN * sd),
         "parameters": parameters,
         "growth": {
             "factors": list(FACTORS),
-            "half": [_plain(half) for half in halves],
-            "first_order": [_plain(WITHIN * sd * factor) for factor in FACTORS],
+            "half": [finite(half) for half in halves],
+            "first_order": [finite(WITHIN * sd * factor) for factor in FACTORS],
         },
         "histogram": {"edges": edges.tolist(), "counts": counts.tolist()},
     }
@@ -218,24 +222,20 @@ def within(values: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def wanted(half: float, known: Knowledge, terms: Array) -> dict[str, Any]:
-    """How well parameters must be known, in the first order, for an output that is known to ± half (95 %).
-
-    {"half", "factor": of all sds together, "alone": {name: log_sd if the others stay as they are; None where
-    even an exact value would not be enough}, "only": {name: log_sd if nothing else were unknown}}.
-    """
+def wanted(half: float, known: Knowledge, terms: Array) -> WantedAnswer:
+    """In the first order. terms: as of `_output`."""
     variance = (half / WITHIN) ** 2
     total = float(terms.sum())
     factor = np.sqrt(variance / total) if total > 0 else np.inf
-    alone, only = {}, {}
+    alone, only = Values(), Values()
     for k, (name, sd) in enumerate(zip(known.names, known.log_sd.tolist(), strict=True)):
         own = float(terms[k, k])
         crossed = float(terms[k].sum()) - own
         rest = total - own - 2 * crossed
-        alone[name] = _plain(_largest_factor(own, crossed, rest - variance) * sd)
+        alone[name] = finite(_largest_factor(own, crossed, rest - variance) * sd)
         acts = own > IDLE * total
-        only[name] = _plain(np.sqrt(variance / own) * sd) if acts else None
-    return {"half": half, "factor": _plain(factor), "alone": alone, "only": only}
+        only[name] = finite(np.sqrt(variance / own) * sd) if acts else None
+    return {"half": half, "factor": finite(factor), "alone": alone, "only": only}
 
 
 def _largest_factor(own: float, crossed: float, rest: float) -> float:
@@ -245,7 +245,3 @@ def _largest_factor(own: float, crossed: float, rest: float) -> float:
     root = crossed**2 - own * rest
     largest = (-crossed + np.sqrt(root)) / own if root >= 0 else np.nan
     return float(largest) if largest >= 0 else np.nan
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -1,11 +1,12 @@
 """Where in the range of two parameters rigs are unstable: counted, drawn and said in words."""
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from tilth.analysis.sensitivity.answers import BoundaryLine, PairAnswer
 from tilth.analysis.sensitivity.designs import Design, Grid, LogNormal
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.linear_analysis import AT_ORIGIN, eigenvalues, system
@@ -43,16 +44,16 @@ def edges(design: Design, k: int) -> Array:
     return np.linspace(low, high, design.levels + 1)
 
 
-def pair_answer(model: Model, rig: Rig, speed: float, design: Design, there: Counts, unstable: Counts) -> Any:
-    """[{"names", "low_to_high": [edges, edges], "shares": levels × levels, "line": {"at": [values, values],
-    "growth"}}] of the pairs that tell most, the clearest first; "growth", 1/s, is of the rig itself with only
-    these two changed, and the line where it is zero. there, unstable: (k, k, levels, levels)."""
+def pair_answer(
+    model: Model, rig: Rig, speed: float, design: Design, there: Counts, unstable: Counts
+) -> list[PairAnswer]:
+    """Of the pairs that tell most, the clearest first. there, unstable: (k, k, levels, levels)."""
     k = len(design.names)
     if not unstable.any():
         return []
     pairs = [(one, other) for one in range(k) for other in range(one + 1, k)]
     scores = {pair: _corner(design, *pair, there, unstable).score for pair in pairs}
-    shown = []
+    shown: list[PairAnswer] = []
     for one, other in sorted(pairs, key=lambda pair: -scores[pair])[:SHOWN]:
         shown.append({
             "names": [design.names[one], design.names[other]],
@@ -69,7 +70,7 @@ def _shares(there: Counts, unstable: Counts) -> Array:
         return np.asarray(unstable / there)
 
 
-def _line(model: Model, rig: Rig, speed: float, design: Design, one: int, other: int) -> dict[str, Any]:
+def _line(model: Model, rig: Rig, speed: float, design: Design, one: int, other: int) -> BoundaryLine:
     first, second = (
         np.linspace(edges(design, k)[0], edges(design, k)[-1], LINE).tolist() for k in (one, other)
     )

@@ -1,7 +1,7 @@
 """The report of uncertainties: how well each output is known, by what, and what must be known better."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 from tilth.analysis.report.document import (
     WARNING,
@@ -14,6 +14,7 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.analysis.report.wording import NOTHING, listed, number
+from tilth.analysis.sensitivity.answers import Assumed, OutputAnswer, UncertaintyData, UncertaintyEntry
 from tilth.analysis.sensitivity.local_page import MEANINGS, made_section
 from tilth.analysis.sensitivity.outputs import OUTPUTS
 from tilth.schemas.spread import share
@@ -32,14 +33,14 @@ def known_to(half: float | None, unit: str) -> str:
     return f"± {number(half * _FACTOR[unit], 2)} {_UNIT[unit]}"
 
 
-def causes(output: Mapping[str, Any]) -> str:
+def causes(output: OutputAnswer) -> str:
     """Parameters by their share of the variance, the largest first."""
     shares = {name: one["share"] or 0.0 for name, one in output["parameters"].items()}
     largest = sorted(shares, key=lambda name: -abs(shares[name]))
     return ", ".join(f"{name} {100 * shares[name]:.0f} %" for name in largest if abs(shares[name]) >= SHOWN)
 
 
-def in_words(name: str, output: Mapping[str, Any], parameters: Mapping[str, Any]) -> str:
+def in_words(name: str, output: OutputAnswer, parameters: Mapping[str, Assumed]) -> str:
     """What must be known for what is wanted of an output."""
     found, unit = output["wanted"], output["unit"]
     wanted = f"For {name} to be known to {known_to(found['half'], unit)}"
@@ -50,7 +51,7 @@ def in_words(name: str, output: Mapping[str, Any], parameters: Mapping[str, Any]
     enough = [
         f"{one} to {share(sd)}"
         for one, sd in found["alone"].items()
-        if sd is not None and sd < _sd(parameters, one)
+        if sd is not None and sd < parameters[one]["log_sd"]
     ]
     said = f"{wanted} all sds must be {number(found['factor'], 2)} times as large (first order)"
     if enough:
@@ -58,27 +59,23 @@ def in_words(name: str, output: Mapping[str, Any], parameters: Mapping[str, Any]
     return f"{said}; one parameter alone does not bring it there."
 
 
-def _sd(parameters: Mapping[str, Any], name: str) -> float:
-    return float(parameters[name]["log_sd"])
-
-
-def uncertainty_report(data: Mapping[str, Any]) -> DriveReport:
-    """data, plain: "machine", "command", "made", and the keys of `propagation.uncertainty_answer`."""
+def uncertainty_report(data: UncertaintyData) -> DriveReport:
+    """A section for each speed."""
     sections = [_short(data)]
     sections += [_at_speed(data, entry) for entry in data["speeds"]]
     sections += [_assumed(data), made_section(data)]
     return DriveReport(f"Uncertainty: {data['machine']}", tuple(sections), data)
 
 
-def _key(entry: Mapping[str, Any]) -> str:
+def _key(entry: UncertaintyEntry) -> str:
     return f"{entry['model']}-{entry['speed']:g}".replace(".", "-")
 
 
-def _title(entry: Mapping[str, Any]) -> str:
+def _title(entry: UncertaintyEntry) -> str:
     return f"{entry['speed']:g} m/s, {entry['model']} model"
 
 
-def _short(data: Mapping[str, Any]) -> ReportSection:
+def _short(data: UncertaintyData) -> ReportSection:
     parts: list[Part] = [ReportText(f"{one['reason']}.", WARNING) for one in data["refused"]]
     for entry in data["speeds"]:
         if entry["unstable_share"] > 0:
@@ -109,7 +106,7 @@ def _short(data: Mapping[str, Any]) -> ReportSection:
     return ReportSection("short", "In short", tuple(parts))
 
 
-def _at_speed(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportSection:
+def _at_speed(data: UncertaintyData, entry: UncertaintyEntry) -> ReportSection:
     key, outputs = _key(entry), entry["outputs"]
     parts: list[Part] = [_outputs_table(entry, key), _alone_table(entry, key)]
     parts += [_distributions(entry, key), _growth(entry, key)]
@@ -119,7 +116,7 @@ def _at_speed(data: Mapping[str, Any], entry: Mapping[str, Any]) -> ReportSectio
     return ReportSection(key, f"At {_title(entry)}", tuple(parts))
 
 
-def _outputs_table(entry: Mapping[str, Any], key: str) -> ReportTable:
+def _outputs_table(entry: UncertaintyEntry, key: str) -> ReportTable:
     rows = tuple(
         (
             ReportCell(name),
@@ -147,7 +144,7 @@ def _range(low: float | None, high: float | None, unit: str) -> str:
     return f"{number(low * factor, 2)} … {number(high * factor, 2)} {_UNIT[unit]}"
 
 
-def _alone_table(entry: Mapping[str, Any], key: str) -> ReportTable:
+def _alone_table(entry: UncertaintyEntry, key: str) -> ReportTable:
     outputs = entry["outputs"]
     first = next(iter(outputs.values()))
     rows = tuple(
@@ -166,7 +163,7 @@ def _alone_table(entry: Mapping[str, Any], key: str) -> ReportTable:
     return ReportTable(f"{key}-alone", caption, ("not known", *outputs), rows)
 
 
-def _distributions(entry: Mapping[str, Any], key: str) -> ReportFigure:
+def _distributions(entry: UncertaintyEntry, key: str) -> ReportFigure:
     panels = []
     for name, one in entry["outputs"].items():
         factor = _FACTOR[one["unit"]]
@@ -189,8 +186,8 @@ def _distributions(entry: Mapping[str, Any], key: str) -> ReportFigure:
     )
 
 
-def _growth(entry: Mapping[str, Any], key: str) -> ReportFigure:
-    panels: list[dict[str, Any]] = []
+def _growth(entry: UncertaintyEntry, key: str) -> ReportFigure:
+    panels: list[dict[str, object]] = []
     factors: Sequence[float] = ()
     for name, one in entry["outputs"].items():
         factor, factors = _FACTOR[one["unit"]], one["growth"]["factors"]
@@ -212,7 +209,7 @@ def _growth(entry: Mapping[str, Any], key: str) -> ReportFigure:
 
 
 def _wanted_table(
-    name: str, output: Mapping[str, Any], parameters: Mapping[str, Any], key: str
+    name: str, output: OutputAnswer, parameters: Mapping[str, Assumed], key: str
 ) -> ReportTable:
     found = output["wanted"]
     rows = tuple(
@@ -245,7 +242,7 @@ def _sd_cell(sd: float | None) -> ReportCell:
     return ReportCell(share(sd) if sd < ANY else "any value", sd)
 
 
-def _assumed(data: Mapping[str, Any]) -> ReportSection:
+def _assumed(data: UncertaintyData) -> ReportSection:
     rows = tuple(
         (
             ReportCell(name),

@@ -7,7 +7,7 @@ else left to the model: nothing corrects it after its start.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import combinations, islice
 from typing import Any, Final
 
@@ -147,24 +147,6 @@ def way(machine: Machine, run: Predictable, point: Array) -> tuple[Array, Array]
     for one in (tractor, implement):
         one[:, 3:] = one[:, 1:3] - one[:, 3:]
     return tractor, implement
-
-
-def as_json(subsets: Sequence[Subset]) -> list[dict[str, Any]]:
-    """The table as it stands in a report; numbers that do not exist are None."""
-    return [
-        {
-            "fitted": list(one.fitted),
-            "cells": [_plain(asdict(cell)) for cell in one.cells],
-            "refused": one.refused,
-        }
-        for one in subsets
-    ]
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def subsets(ids: Sequence[str]) -> list[tuple[str, ...]]:

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import can
 
@@ -52,7 +52,7 @@ class ControlLoop:
             self.force = self.controller.estimate(self.wires.latest(), now)
         self.wires.send(self.controller.command(self.wires.now()))
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> dict[str, object]:
         """What a person wants to know."""
         follower, latest = self.controller.follower, self.wires.latest()
         at = min(round(follower.station), len(follower.plan.row) - 1)
@@ -142,7 +142,7 @@ def main() -> int:
         return 2
 
 
-def _say(fact: dict[str, Any]) -> None:
+def _say(fact: dict[str, object]) -> None:
     sys.stdout.write(json.dumps(fact) + "\n")
     sys.stdout.flush()
 

@@ -23,6 +23,7 @@ from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.plausible import unusual
+from tilth.schemas.readable import reason_of
 from tilth.schemas.sentences import notice_sentence
 
 TURN_S = 0.05
@@ -102,11 +103,10 @@ def _disk(folder: Path, keep_free: float) -> Iterator[CheckFinding]:
             took_s = time.monotonic() - began
             locked = lock(trial.fileno())
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
         yield CheckFinding(
             "log folder",
             Level.PROBLEM,
-            f"{folder}: not writable ({reason}); give another with --log or log.folder",
+            f"{folder}: not writable ({reason_of(error)}); give another with --log or log.folder",
         )
         return
     yield CheckFinding("log folder", Level.OK, f"{folder}: writable, a sync takes {took_s * 1e3:.0f} ms")

@@ -19,6 +19,7 @@ from tilth.logger.log.disk import sync_folder
 from tilth.logger.log.lock import is_being_written
 from tilth.logger.log.mcap_file import is_finished
 from tilth.logger.log.runs import Copied, StoredRun
+from tilth.schemas.readable import reason_of
 
 _BLOCK = 1 << 20
 _READ_ONLY = (errno.EROFS, errno.EACCES, errno.EPERM)
@@ -53,7 +54,7 @@ def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda t
                 continue
             why_not = _unready(path, damaged)
         except OSError as error:
-            why_not = f"{path}: {(error.strerror or str(error)).lower()}"
+            why_not = f"{path}: {reason_of(error)}"
         if why_not:
             not_copied.append(why_not)
             continue
@@ -64,7 +65,7 @@ def offload(run: StoredRun, to: Path, progress: Callable[[str], None] = lambda t
         try:
             run.write_sidecar(sidecar)
         except OSError as error:  # a card that is full, or read-only: its runs are saved all the same
-            not_noted = f"{run.folder}: {(error.strerror or str(error)).lower()}"
+            not_noted = f"{run.folder}: {reason_of(error)}"
     if copies:
         with _in_words(to):
             whole_file.write(to / run.sidecar_path.name, sidecar.text.encode())
@@ -160,4 +161,4 @@ def _in_words(to: Path) -> Iterator[None]:
         yield
     except OSError as error:
         place = error.filename or to
-        raise CannotCopy(f"{place}: {(error.strerror or str(error)).lower()}; then go on") from None
+        raise CannotCopy(f"{place}: {reason_of(error)}; then go on") from None

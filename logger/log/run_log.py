@@ -24,6 +24,7 @@ from tilth.schemas.flow import EventKind, Frame
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
+from tilth.schemas.readable import reason_of
 
 FLUSH_NS = 400_000_000  # with a turn of the loop and the sync itself, no frame waits a second for the disk
 FIRST_RETRY_NS = 1_000_000_000  # after a failure
@@ -331,4 +332,4 @@ def _sentence(error: Exception, folder: Path) -> str:
     place = error.filename or folder
     if error.errno is None:  # in our words
         return f"{place}: {error.strerror}"
-    return f"{place}: {(error.strerror or str(error)).lower()}; check disk and folder, it is tried again"
+    return f"{place}: {reason_of(error)}; check disk and folder, it is tried again"

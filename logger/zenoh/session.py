@@ -10,6 +10,7 @@ import zenoh
 from tilth.logger.zenoh.open_network import endpoints, is_local, setting, ways_in
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine, Zenoh
+from tilth.schemas.readable import reason_of
 
 ANSWERS_MS: Final = 500  # how long one that is asked who it is may take
 
@@ -159,7 +160,7 @@ def _shared(machine: Machine) -> tuple[zenoh.Config, list[str]]:
         Path(path).open("rb").close()
         config = zenoh.Config.from_file(path)
     except (OSError, zenoh.ZError) as error:
-        reason = why(error) if isinstance(error, zenoh.ZError) else (error.strerror or str(error)).lower()
+        reason = why(error) if isinstance(error, zenoh.ZError) else reason_of(error)
         raise zenoh.ZError(
             f"{path}: {reason}; give the daemon.json that `{command('keys')}` has made"
         ) from None

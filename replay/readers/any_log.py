@@ -22,6 +22,7 @@ from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, OtherKind, R
 from tilth.replay.readers.table_text import KVASER_ROW, layout_of
 from tilth.schemas.bus_name import bus_name
 from tilth.schemas.flow import Frame
+from tilth.schemas.readable import reason_of
 
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")  # how a text in it begins
 _SNIFFED = 64 * 1024  # bytes looked at, comments not counted
@@ -47,7 +48,7 @@ def open_log(path: Path | str, topics: Container[str] = ()) -> OpenLog:
     try:
         file = path.open("rb")
     except OSError as error:
-        raise ForeignLog(f"{path}: cannot be read ({(error.strerror or str(error)).lower()})") from None
+        raise ForeignLog(f"{path}: cannot be read ({reason_of(error)})") from None
     log = OpenLog(path, "", file, path.stat().st_size, topics=topics)
     try:
         log.packed = file.read(len(stream.PACKED)) == stream.PACKED

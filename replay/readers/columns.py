@@ -98,17 +98,23 @@ def frame_of(
         identifier &= LAST_ID
     if remote and not error:
         return "remote_frame"
-    if length is None and dlc is not None:
-        length = dlc if dlc <= 8 else _FD_BYTES.get(dlc, dlc) if len(data) > 8 else 8
-    if length is not None and not error:
-        if length > 8:
+    told = _bytes_of(dlc, len(data)) if length is None else length
+    if told is not None and not error:
+        if told > 8:
             return "can_fd_frame"
-        if len(data) < length:
+        if len(data) < told:
             raise ValueError("a length that does not fit")
-        data = data[:length]
+        data = data[:told]
     if len(data) > 8:
         return "can_fd_frame"
     return Frame(*times, bus, identifier, extended or error or identifier > 0x7FF, error, data)
+
+
+def _bytes_of(dlc: int | None, there: int) -> int | None:
+    """That a data length code stands for, where so many are there."""
+    if dlc is None or dlc <= 8:
+        return dlc
+    return _FD_BYTES.get(dlc, dlc) if there > 8 else 8
 
 
 def bus_of(channel: str) -> str:

@@ -53,23 +53,32 @@ def on_buses_of(machine: Machine, log: OpenLog, given: Mapping[str, str], say: S
     with one bus (as far as its first PEEKED records show) is that of a machine file with one bus. Says what
     it did and what does not fit.
     """
-    names = [bus.name for bus in machine.bus]
     first = list(islice(log.records, PEEKED))
-    heard = dict.fromkeys(record.bus for record in first if isinstance(record, Frame))
-    log_buses = [bus for bus in heard if given.get(bus) != LEFT_OUT]
+    heard = list(dict.fromkeys(record.bus for record in first if isinstance(record, Frame)))
     if unheard := [bus for bus in given if bus not in heard]:
         say(f"{log.path}: --bus names {', '.join(unheard)}; it begins with {', '.join(heard) or 'none'}")
-    renames = {bus: name for bus, name in given.items() if bus != name}
-    if set(given.values()) <= {LEFT_OUT} and len(log_buses) == len(names) == 1 and log_buses != names:
-        renames[log_buses[0]] = names[0]
-        say(f"{log.path}: its bus {log_buses[0]} is taken for {names[0]} of the machine file")
-    elif log_buses and not any(renames.get(bus, bus) in names for bus in log_buses):
-        say(
-            f"{log.path}: has the buses {', '.join(log_buses)}, the machine file has {', '.join(names)}; "
-            "say which is which with --bus LOG=MACHINE"
-        )
+    renames, said = _renames([bus.name for bus in machine.bus], heard, given)
+    if said:
+        say(f"{log.path}: {said}")
     records = chain(first, log.records)
     return _renamed(records, renames) if renames else records
+
+
+def _renames(
+    names: Sequence[str], heard: Sequence[str], given: Mapping[str, str]
+) -> tuple[dict[str, str], str]:
+    """{bus of the log: name of the machine file}, and what is to be said of it."""
+    renames = {bus: name for bus, name in given.items() if bus != name}
+    log_buses = [bus for bus in heard if given.get(bus) != LEFT_OUT]
+    if set(given.values()) <= {LEFT_OUT} and len(log_buses) == len(names) == 1 and log_buses != names:
+        renames[log_buses[0]] = names[0]
+        return renames, f"its bus {log_buses[0]} is taken for {names[0]} of the machine file"
+    if log_buses and not any(renames.get(bus, bus) in names for bus in log_buses):
+        return renames, (
+            f"has the buses {', '.join(log_buses)}, the machine file has {', '.join(names)}; say which is "
+            "which with --bus LOG=MACHINE"
+        )
+    return renames, ""
 
 
 def _renamed(records: Iterator[Record], renames: Mapping[str, str]) -> Iterator[Record]:

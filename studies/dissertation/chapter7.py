@@ -23,7 +23,7 @@ from studies.dissertation.experiments import FIELDS, MANOEUVRES, PLANTS, REPLICA
 from studies.dissertation.true_values import true_point
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
 from tilth.analysis.fit.joint import join
-from tilth.analysis.fit.result import as_json
+from tilth.analysis.fit.result import JointAnswer, RunAnswer, as_json
 from tilth.analysis.report.answered import drawn
 from tilth.analysis.report.document import plain
 from tilth.analysis.runs.kept import cache_folder
@@ -41,7 +41,7 @@ DIGITS: Final = 4  # of a number in the file
 PATH_EVERY_S: Final = 0.5  # of the paths in the file
 
 
-def numbers(cache: Path, jobs: int, plants: Sequence[str] = PLANTS) -> dict[str, Any]:
+def numbers(cache: Path, jobs: int, plants: Sequence[str] = PLANTS) -> dict[str, object]:
     """The whole file. Raises OSError, LogError, CannotFit."""
     experiments.prepare(experiments.all_of(plants), cache, jobs)
     groups, wholes, ways, measured = [], [], [], []
@@ -58,7 +58,7 @@ def numbers(cache: Path, jobs: int, plants: Sequence[str] = PLANTS) -> dict[str,
                 measured.append({"plant": plant, **frequency_response(fitted)})
         wholes.append({"plant": plant, "field": field, **whole(plant, field, cache, jobs)})
     truth = {field: list(experiments.truth(field).values()) for field in FIELDS}
-    found: dict[str, Any] = _rounded({
+    found: dict[str, object] = _rounded({
         "truth": truth, "groups": groups, "wholes": wholes, "paths": ways, "responses": measured,
     })  # fmt: skip
     return found
@@ -75,13 +75,13 @@ def fit(runs: Iterable[Experiment], cache: Path, jobs: int) -> Fitted:
     return fitted
 
 
-def group(fitted: Fitted, cache: Path) -> dict[str, Any]:
+def group(fitted: Fitted, cache: Path) -> dict[str, object]:
     """Replicates: the six of each subset, and how every subset predicts every run."""
     number = {wanted.id: k for k, wanted in enumerate(fitted.wanted)}
     answer, rows = as_json(fitted), []
     for subset in hold_out(fitted, cache):
         chosen = [number[id] for id in subset.fitted]
-        row: dict[str, Any] = {"runs": [k + 1 for k in chosen]}
+        row: dict[str, object] = {"runs": [k + 1 for k in chosen]}
         if len(chosen) == 1:
             row |= _six(answer["runs"][chosen[0]])
         elif chosen:
@@ -90,7 +90,7 @@ def group(fitted: Fitted, cache: Path) -> dict[str, Any]:
     return {"subsets": rows}
 
 
-def frequency_response(fitted: Fitted) -> dict[str, Any]:
+def frequency_response(fitted: Fitted) -> dict[str, object]:
     """Of the first run: yaw rates over the wheel angle, dB and degrees, with bands; and of the models. Raises
     ValueError where nothing was measured."""
     first = next(iter(responses(fitted).values()))
@@ -100,7 +100,7 @@ def frequency_response(fitted: Fitted) -> dict[str, Any]:
     return {"hz": found["hz"], "outputs": found["outputs"][:2]}
 
 
-def by_truth(run: Experiment, fitted: Fitted, cache: Path) -> dict[str, Any]:
+def by_truth(run: Experiment, fitted: Fitted, cache: Path) -> dict[str, object]:
     """How what is true of these runs, which are of one rig, predicts each."""
     machine = fitted.wanted[0].run.machine
     point = true_point(machine, setting_of(machine, run.seed, 1.0, run.scenario))
@@ -109,16 +109,17 @@ def by_truth(run: Experiment, fitted: Fitted, cache: Path) -> dict[str, Any]:
     return {"by_truth": [_errors(cell) for cell in predicted.cells]}
 
 
-def _joint(fitted: Fitted, chosen: Sequence[int] | None = None) -> dict[str, Any]:
+def _joint(fitted: Fitted, chosen: Sequence[int] | None = None) -> dict[str, object]:
     """The six of some of the segments together, of all if None, and whether they agree."""
     assert fitted.linearised is not None
     joint = join(fitted.wanted[0].run.machine, fitted.linearised, chosen)
     answer = as_json(replace(fitted, joint=joint))
-    return _six(answer["joint"]) | {"p": answer["agreement"]["p"]}
+    return _six(answer["joint"]) | {"p": joint.agreement.p}
 
 
-def _six(answer: dict[str, Any]) -> dict[str, Any]:
+def _six(answer: RunAnswer | JointAnswer | None) -> dict[str, object]:
     """Values and sds of PARAMETERS, N/rad and m; None where one is not estimated."""
+    assert answer is not None
     rows = [answer["parameters"][name] for name in PARAMETERS]
     return {"values": [row["value"] for row in rows], "sds": [row["sd"] for row in rows]}
 
@@ -128,7 +129,7 @@ def _errors(cell: Cell) -> list[float]:
     return [cell.tractor_m, cell.implement_m]
 
 
-def whole(plant: str, field: str, cache: Path, jobs: int) -> dict[str, Any]:
+def whole(plant: str, field: str, cache: Path, jobs: int) -> dict[str, object]:
     """All nine runs of a field as one; and what its step runs predict of the other manoeuvres."""
     runs = [Experiment(plant, field, *row) for row in product(MANOEUVRES, REPLICATES)]
     fitted = fit(runs, cache, jobs)
@@ -155,7 +156,7 @@ def predictable(fitted: Fitted, k: int, cache: Path) -> Predictable:
     return made
 
 
-def paths(fitted: Fitted, cache: Path) -> dict[str, Any]:
+def paths(fitted: Fitted, cache: Path) -> dict[str, object]:
     """Of the step run N3, which was not fitted: north and east of either body as measured, and as predicted
     by the machine file's parameters, by those of N2, and by those of N1 and N2; m, every PATH_EVERY_S."""
     assert fitted.linearised is not None

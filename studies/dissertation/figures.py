@@ -28,7 +28,7 @@ def _panels(rows: int, columns: int, width: float, height: float, **share: Any) 
     return figure, figure.subplots(rows, columns, squeeze=False, **share)
 
 
-def _style(name: str) -> dict[str, Any]:
+def _style(name: str) -> dict[str, object]:
     return {"color": plots.COLOURS[name], "linestyle": plots.DASHES[name], "label": name}
 
 

@@ -23,7 +23,7 @@ def test_speeds_are_plain_decimal_text(speed: float, key: str) -> None:
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 def test_every_model_at_the_ends_of_the_range(model: Any) -> None:
     drive = Drive(seconds=2.0)
-    output = rig_report(TABLE_7_2, [model], (0.1, 30.0), drive)["models"][model.name]
+    output: Any = rig_report(TABLE_7_2, [model], (0.1, 30.0), drive)["models"][model.name]
     for at in output.values():
         assert at["stable"] and at["observability"]["rank"] == len(at["states"])
         for design in at["lqr"].values():
@@ -33,7 +33,7 @@ def test_every_model_at_the_ends_of_the_range(model: Any) -> None:
 
 @pytest.mark.parametrize("name", ["dynamic", "relaxation"])
 def test_the_steady_turn_is_the_closed_form(name: str) -> None:
-    output = rig_report(TABLE_7_2, [model_named(name)], (1.0, 7.5), Drive(seconds=2.0))["models"][name]
+    output: Any = rig_report(TABLE_7_2, [model_named(name)], (1.0, 7.5), Drive(seconds=2.0))["models"][name]
     for speed, at in output.items():
         turn = at["steady_turn_per_rad"]
         values = [turn[key] for key in ("lateral_velocity", "yaw_rate", "articulation")]
@@ -41,7 +41,7 @@ def test_the_steady_turn_is_the_closed_form(name: str) -> None:
 
 
 def test_the_wheel_angle_ratio_is_that_of_the_steady_turn() -> None:
-    output = rig_report(TABLE_5_1, [model_named("dynamic")], (7.5,), Drive(seconds=2.0))
+    output: Any = rig_report(TABLE_5_1, [model_named("dynamic")], (7.5,), Drive(seconds=2.0))
     yaw = output["models"]["dynamic"]["7.5"]["steady_turn_per_rad"]["yaw_rate"]
     assert output["understeer"]["wheel_angle_ratio"]["7.5"] == pytest.approx(7.5 / 2.9 / yaw)
 
@@ -49,7 +49,7 @@ def test_the_wheel_angle_ratio_is_that_of_the_steady_turn() -> None:
 @pytest.mark.parametrize("sensors", SENSOR_SETS)
 def test_the_bound_is_that_of_the_drive(sensors: str) -> None:
     drive, model = Drive(sensors=sensors, seconds=6.0), model_named("relaxation")
-    output = rig_report(TABLE_7_2, [model], (4.5,), drive)["models"]["relaxation"]["4.5"]["bound"]
+    output: Any = rig_report(TABLE_7_2, [model], (4.5,), drive)["models"]["relaxation"]["4.5"]["bound"]
     expected = cramer_rao(
         model, TABLE_7_2, 4.5, drive.wheel_angle(), SAMPLE_S, SENSOR_SETS[sensors], disturbances=DISTURBANCES
     )

@@ -62,16 +62,16 @@ def test_a_cut_log_is_fitted_as_far_as_it_is_whole(fit: Answer) -> None:
     ("words", "status", "says"),
     [
         (("--segment", "90:120"), 2, "no poses between 90 and 120 s of the run"),
-        (("--segment", "20:10"), 2, "20:10: write A:B with A before B, in seconds"),
-        (("--segment", "a:b"), 2, "a:b: write A:B or N:A:B, in seconds"),
+        (("--segment", "20:10"), 2, "20:10: give seconds since it began"),
+        (("--segment", "a:b"), 2, "a:b: give seconds since it began"),
         (("--segment", "2:1:20"), 2, "there are 1 runs"),
         (("--segment", "2.5:5"), 1, ""),
         (("--kind", "chirp"), 1, "no driving with steering of the kinds chirp was found"),
         (("--segment", "4:27", "--mark", "west*"), 2, "leave out --mark and --kind beside it"),
         (("--mark", "north*"), 1, "no marks begin and end a run that is called north*"),
         (("--kind", "dance"), 2, "invalid choice: 'dance'"),
-        (("--jobs", "0"), 2, "0: give a whole number from 1 up"),
-        (("--bus", "a=can0"), 2, "--bus LOG=MACHINE needs --machine"),
+        (("--jobs", "0"), 2, "0: give a number of processes, from 1 up"),
+        (("--bus", "a=b"), 2, "--bus a=b: write LOG=MACHINE; the machine file has can0"),
     ],
 )
 def test_mistakes_are_said_in_a_sentence(fit: Answer, words: tuple[str, ...], status: int, says: str) -> None:

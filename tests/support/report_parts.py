@@ -11,7 +11,7 @@ VALUES = (220e3, 540e3, 170e3, 1.1, 1.5, 0.9)
 WHY = "the data leave -60 … +150 % (95 %): more steering is needed"
 
 
-def parameters(share: float, factor: float = 1.0) -> dict[str, Any]:
+def parameters(share: float, factor: float = 1.0) -> Any:
     """All six, with so large an sd of the logarithm."""
     return {
         name: {"value": factor * value, "sd": factor * value * share, "status": "estimated", "reason": ""}
@@ -19,11 +19,11 @@ def parameters(share: float, factor: float = 1.0) -> dict[str, Any]:
     }
 
 
-def fit() -> dict[str, Any]:
+def fit() -> Any:
     """Three segments, of which the last does not determine sigma_i, and all together."""
     kinds = ("step", "chirp", "row")
     runs: list[dict[str, Any]] = [
-        {"id": f"s{k}", "log": 1, "start_s": 30.0 * k, "end_s": 30.0 * k + 28.0, "kind": kind,
+        {"id": f"s{k}", "log": 1, "start_s": 30.0 * k, "end_s": 30.0 * k + 28.0, "kind": kind, "name": "",
          "parameters": parameters(0.12, 1.0 + 0.05 * k), "nuisances": {}, "log_covariance": None,
          "seconds": 28.0}
         for k, kind in enumerate(kinds, 1)
@@ -37,10 +37,10 @@ def fit() -> dict[str, Any]:
         "sentence": "The segments agree within their uncertainty.",
     }
     joint = {"parameters": parameters(0.05), "log_covariance": plain(covariance), "nuisances": {}}
-    return {"runs": runs, "joint": joint, "agreement": agreement}
+    return {"runs": runs, "joint": joint, "agreement": agreement, "groups": []}
 
 
-def held_out() -> dict[str, Any]:
+def held_out() -> Any:
     """Each subset predicts three drives."""
     runs = ("s1", "s2", "s3")
     return {
@@ -58,7 +58,7 @@ def held_out() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def residuals() -> list[dict[str, Any]]:
+def residuals() -> Any:
     """One test passed, one failed, one undecided."""
     rows = (("r_t", "WhitenessTest", "passed", 0.3), ("r_t", "InputTest", "failed", 2e-4),
             ("r_i", "SizeTest", "undecided", None))  # fmt: skip
@@ -74,7 +74,7 @@ def residuals() -> list[dict[str, Any]]:
     ]
 
 
-def response(count: int = 30) -> dict[str, Any]:
+def response(count: int = 30) -> Any:
     """Of two outputs; at the highest frequencies the gain may be zero."""
     hz = np.geomspace(0.05, 3.0, count)
     s = 2j * np.pi * hz
@@ -93,6 +93,6 @@ def response(count: int = 30) -> dict[str, Any]:
     return found
 
 
-def everything() -> dict[str, Any]:
+def everything() -> Any:
     """All that may be plugged into a report beside its runs."""
     return {"fit": fit(), "held_out": held_out(), "residuals": residuals(), "response": response()}

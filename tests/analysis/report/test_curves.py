@@ -1,6 +1,7 @@
 """Thinned curves: small, and nothing that matters is lost."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def test_an_hour_keeps_its_extremes_in_few_points() -> None:
     angle = 0.05 * np.sin(t)
     angle[7777] = 0.4
     curve = drive_curves(poses(t, wheel_angle_rad=angle, sd_wheel_angle_rad=np.full(len(t), 0.01)), 3600.0)
-    found = curve["wheel_angle"]
+    found: Any = curve["wheel_angle"]
     assert len(found["t_s"]) <= 2 * BUCKETS + 2
     assert max(found["value"]) == 0.4 and found["t_s"][found["value"].index(0.4)] == pytest.approx(
         t[7777], abs=0.01

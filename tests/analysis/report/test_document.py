@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def test_the_json_holds_all_parts_once() -> None:
     report = DriveReport(
         "title", (ReportSection("s", "section", (ReportText("p"), table), (inner,)),), {"runs": []}
     )
-    found = as_json(report)
+    found: Any = as_json(report)
     (section,) = found["sections"]
     assert section["parts"][0] == {"plain": "p"}
     assert section["parts"][1]["rows"] == [

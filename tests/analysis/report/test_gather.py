@@ -16,12 +16,12 @@ from tilth.analysis.runs.segments import between
 from tilth.schemas.flow import PARAMETERS
 
 
-def of(folder: Path, run: WrittenRun) -> dict[str, Any]:
+def of(folder: Path, run: WrittenRun) -> Any:
     (found,) = open_runs(write_run(folder / "run.mcap", run))
     return facts_of(found)
 
 
-def test_the_drive(facts: dict[str, Any]) -> None:
+def test_the_drive(facts: Any) -> None:
     driving = facts["driving"]
     assert facts["duration_s"] == SECONDS and facts["note"] == "clay <dry>"
     assert driving["distance_m"] == pytest.approx(SPEED * SECONDS)
@@ -31,7 +31,7 @@ def test_the_drive(facts: dict[str, Any]) -> None:
     assert facts["start_utc_s"] == 1_700_000_000.0
 
 
-def test_the_segment_and_what_it_can_tell(facts: dict[str, Any]) -> None:
+def test_the_segment_and_what_it_can_tell(facts: Any) -> None:
     (segment,) = facts["segments"]
     assert segment["kind"] == "step" and segment["largest_angle_rad"] == pytest.approx(ANGLE)
     assert [text.split()[0] for text in segment["tells"]] == list(PARAMETERS[:5])
@@ -43,7 +43,7 @@ def test_given_segments_replace_those_found(run: Run) -> None:
     assert (segment["kind"], segment["start_s"], segment["end_s"]) == ("given", 12.0, 20.0)
 
 
-def test_marks_and_changes_of_soil_have_their_places(facts: dict[str, Any], run: Run) -> None:
+def test_marks_and_changes_of_soil_have_their_places(facts: Any, run: Run) -> None:
     (mark,) = (event for event in facts["events"] if event["kind"] == MARK)
     at = int(np.argmin(abs(run.poses.t_s - mark["t_s"])))
     assert mark["text"] == WRITTEN
@@ -53,7 +53,7 @@ def test_marks_and_changes_of_soil_have_their_places(facts: dict[str, Any], run:
     assert [event["t_s"] for event in facts["events"] if event["kind"] == "soil_change"] == [45.0]
 
 
-def test_the_last_estimate(facts: dict[str, Any]) -> None:
+def test_the_last_estimate(facts: Any) -> None:
     last = facts["estimates"]["recommended"]
     assert last["t_s"] == SECONDS and set(facts["estimates"]) == {"recommended", "pem", "tracker"}
     for name, value in zip(PARAMETERS, VALUES, strict=True):
@@ -63,7 +63,7 @@ def test_the_last_estimate(facts: dict[str, Any]) -> None:
     assert np.array(last["log_covariance"])[0, 0] == pytest.approx(SHARE**2)
 
 
-def test_nuisances_stand_beside_what_was_assumed(facts: dict[str, Any]) -> None:
+def test_nuisances_stand_beside_what_was_assumed(facts: Any) -> None:
     zero = {one["name"]: one for one in facts["nuisances"]}["wheel_zero"]
     assert zero["prior_sd"] == pytest.approx(math.radians(0.5))
     assert zero["value"] == pytest.approx(3.0 * zero["prior_sd"])
@@ -96,7 +96,7 @@ def test_a_run_without_estimates(tmp_path: Path) -> None:
     assert found["estimates"] == {} and found["nuisances"] == [] and found["curves"]["parameters"] == {}
 
 
-def test_it_is_plain_data_with_sums_of_the_log(run: Run, facts: dict[str, Any]) -> None:
+def test_it_is_plain_data_with_sums_of_the_log(run: Run, facts: Any) -> None:
     json.dumps(facts, allow_nan=False)
     (log,) = facts["origin"]["logs"]
     assert len(log["sha256"]) == 64 and log["bytes"] == run.sources[0].stat().st_size

@@ -6,11 +6,11 @@ from tilth.analysis.report.document import WARNING, ReportTable, ReportText, par
 from tilth.analysis.report.made import made_section, short_section, warnings_of
 
 
-def test_a_sound_run_has_no_warning(facts: dict[str, Any]) -> None:
+def test_a_sound_run_has_no_warning(facts: Any) -> None:
     assert warnings_of(facts) == []
 
 
-def test_what_makes_results_doubtful_comes_first(facts: dict[str, Any]) -> None:
+def test_what_makes_results_doubtful_comes_first(facts: Any) -> None:
     facts["flags"] = [{"flag": "contradiction:tractor.c", "poses": 30, "share": 0.6, "seconds": 6.0}]
     facts["origin"] |= {"simulated": True, "whole": False, "cut": ["a.mcap"]}
     facts |= {"skipped": ["cut", "damaged_chunk"], "start_utc_s": None}
@@ -29,7 +29,7 @@ def test_what_makes_results_doubtful_comes_first(facts: dict[str, Any]) -> None:
     assert isinstance(parts[0], ReportText) and parts[0].kind == WARNING
 
 
-def test_sums_versions_and_the_command(facts: dict[str, Any]) -> None:
+def test_sums_versions_and_the_command(facts: Any) -> None:
     section = made_section({"runs": [facts], "command": "tilth report 'a b.mcap'"})
     assert isinstance(section.parts[0], ReportText) and section.parts[0].text.endswith(
         "tilth report 'a b.mcap'"

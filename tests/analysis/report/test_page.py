@@ -58,8 +58,8 @@ def read(text: str) -> Reading:
 
 
 @pytest.fixture
-def report(facts: dict[str, Any]) -> DriveReport:
-    return report_of({"runs": [facts], "command": "tilth report a.mcap", **everything()})
+def report(facts: Any) -> DriveReport:
+    return report_of(everything() | {"runs": [facts], "command": "tilth report a.mcap"})
 
 
 def numbers_in(value: Any) -> Iterator[float]:
@@ -135,7 +135,7 @@ def test_tables_and_figures_can_be_heard(report: DriveReport) -> None:
     assert text.count("<title id=") == text.count("<desc id=") == figures
 
 
-def test_what_people_wrote_is_text(report: DriveReport, facts: dict[str, Any]) -> None:
+def test_what_people_wrote_is_text(report: DriveReport, facts: Any) -> None:
     text = page(report)
     assert WRITTEN not in text and "&lt;script&gt;alert(&#x27;a &amp; b&#x27;)&lt;/script&gt;" in text
     assert "clay &lt;dry&gt;" in text
@@ -155,7 +155,7 @@ def test_the_same_bytes_from_the_same_report(report: DriveReport) -> None:
     assert page(report) == page(report)
 
 
-def test_what_is_absent_is_left_out(facts: dict[str, Any]) -> None:
+def test_what_is_absent_is_left_out(facts: Any) -> None:
     text = page(report_of({"runs": [facts], "command": ""}))
     for title in ("Fits of segments", "Prediction of drives", "Residuals", "Frequency response"):
         assert title not in text
@@ -167,7 +167,7 @@ def test_what_is_absent_is_left_out(facts: dict[str, Any]) -> None:
     read(text)
 
 
-def test_several_runs_are_told_apart(facts: dict[str, Any]) -> None:
+def test_several_runs_are_told_apart(facts: Any) -> None:
     text = page(report_of({"runs": [facts, facts], "command": ""}))
     read(text)
     ids = re.findall(r'\bid="([^"]+)"', text)
@@ -175,7 +175,7 @@ def test_several_runs_are_told_apart(facts: dict[str, Any]) -> None:
     assert f"Run 2: {facts['machine']['name']}, 20" in text and text.count("field-1") > 1
 
 
-def test_a_run_is_called_as_people_call_it(facts: dict[str, Any]) -> None:
+def test_a_run_is_called_as_people_call_it(facts: Any) -> None:
     named = report_of({"runs": [facts | {"start_utc_s": 1_795_000_000.0}], "command": ""})
     assert named.title == f"Drive report: {facts['machine']['name']}, 2026-11-18 11:06 UTC"
     assert report_of({"runs": [facts | {"start_utc_s": None}], "command": ""}).title.endswith(facts["id"])

@@ -42,8 +42,8 @@ def pages(pdf: bytes) -> int:
     return sum(len(re.findall(rb"/Type\s*/Page(?![s\w])", text)) for text in texts)
 
 
-def test_a_pdf_with_pages_the_same_each_time(facts: dict[str, Any]) -> None:
-    report = report_of({"runs": [facts], "command": "tilth report a.mcap", **everything()})
+def test_a_pdf_with_pages_the_same_each_time(facts: Any) -> None:
+    report = report_of(everything() | {"runs": [facts], "command": "tilth report a.mcap"})
     made = paper(report)
     assert made.startswith(b"%PDF-") and made.rstrip().endswith(b"%%EOF")
     assert 5 <= pages(made) <= 20
@@ -85,7 +85,8 @@ def test_a_mark_reads_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     Path("id_rsa").write_text("SECRET" * 40)
     mark = '\\b" + read( `id_rsa`.text ) ), //'
     report = DriveReport("t", (ReportSection("s", "s", (ReportText(mark),)),), {})
-    (shown,) = [part["text"] for part in content(report)["parts"] if part["kind"] == "plain"]
+    parts: Any = content(report)["parts"]
+    (shown,) = [part["text"] for part in parts if part["kind"] == "plain"]
     assert shown == mark
     inside = paper(report)
     Path("id_rsa").unlink()

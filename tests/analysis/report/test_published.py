@@ -15,7 +15,7 @@ def texts(section: Any, kind: str = "") -> list[str]:
     ]
 
 
-def test_recommended_values_with_intervals(facts: dict[str, Any]) -> None:
+def test_recommended_values_with_intervals(facts: Any) -> None:
     table = values_table(facts, "r")
     assert [cell.text for cell in table.rows[0]] == [
         "C_af, cornering stiffness, front axle", "220 ± 26 kN/rad", "220 (56 … 868) kN/rad", "estimated", "–",
@@ -23,7 +23,7 @@ def test_recommended_values_with_intervals(facts: dict[str, Any]) -> None:
     assert table.rows[5][1].text == "0.90 ± 0.11 m" and "Rule: pem: the first of pem that" in table.caption
 
 
-def test_what_is_not_determined_is_said_with_its_reason(facts: dict[str, Any]) -> None:
+def test_what_is_not_determined_is_said_with_its_reason(facts: Any) -> None:
     for name in ("sigma_f", "sigma_i"):
         facts["estimates"]["recommended"]["parameters"][name] = {
             "value": None, "sd": None, "status": "unestimated", "reason": "more steering is needed",
@@ -39,13 +39,13 @@ def test_what_is_not_determined_is_said_with_its_reason(facts: dict[str, Any]) -
     assert [cell.text for cell in table.rows[0]][4:] == ["unestimated", "1.50 ± 0.18", "unestimated"]
 
 
-def test_a_stale_value_is_marked(facts: dict[str, Any]) -> None:
+def test_a_stale_value_is_marked(facts: Any) -> None:
     facts["estimates"]["recommended"]["parameters"]["C_ai"]["status"] = "stale"
     table = next(one for one in parts_of((published_section(facts, "r"),)) if isinstance(one, ReportTable))
     assert table.rows[0][3].text == "170 ± 20 (stale)"
 
 
-def test_correlations(facts: dict[str, Any]) -> None:
+def test_correlations(facts: Any) -> None:
     figure = next(
         one for one in parts_of((published_section(facts, "r"),))
         if isinstance(one, ReportFigure) and one.kind == "correlation"
@@ -56,7 +56,7 @@ def test_correlations(facts: dict[str, Any]) -> None:
     assert "largest in size is 0.20" in figure.description
 
 
-def test_what_differs_from_the_machine_file_is_named(facts: dict[str, Any]) -> None:
+def test_what_differs_from_the_machine_file_is_named(facts: Any) -> None:
     section = nuisances_section(facts, "r")
     (told,) = texts(section, WARNING)
     assert told.startswith("Wheel-angle reading when straight (wheel_zero): 1.50 ± 0.24 °")
@@ -67,14 +67,14 @@ def test_what_differs_from_the_machine_file_is_named(facts: dict[str, Any]) -> N
     assert "Nothing differs" in texts(nuisances_section(facts, "r"))[0]
 
 
-def test_a_number_that_the_machine_file_states_as_exact_has_no_distance(facts: dict[str, Any]) -> None:
+def test_a_number_that_the_machine_file_states_as_exact_has_no_distance(facts: Any) -> None:
     facts["nuisances"].append({"name": "m_t", "value": 0.0, "sd": 0.0, "prior": 0.0, "prior_sd": 0.0})
     section = nuisances_section(facts, "r")
     figure = next(one for one in parts_of((section,)) if isinstance(one, ReportFigure))  # type: ignore[arg-type]
     assert "m_t" not in [row["name"] for row in figure.data["rows"]]
 
 
-def test_a_run_without_estimates(facts: dict[str, Any]) -> None:
+def test_a_run_without_estimates(facts: Any) -> None:
     facts |= {"estimates": {}, "nuisances": []}
     assert "holds no estimates" in texts(published_section(facts, "r"))[0]
     assert nuisances_section(facts, "r") is None

@@ -27,9 +27,9 @@ pytestmark = [pytest.mark.browser, with_browser]
 
 
 @pytest.fixture
-def file(facts: dict[str, Any], tmp_path: Path) -> Path:
+def file(facts: Any, tmp_path: Path) -> Path:
     path = tmp_path / "a.html"
-    report = report_of({"runs": [facts], "command": "tilth report field.mcap --out a.html", **everything()})
+    report = report_of(everything() | {"runs": [facts], "command": "tilth report field.mcap --out a.html"})
     path.write_text(page(report), encoding="utf-8")
     return path
 

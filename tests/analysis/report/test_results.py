@@ -91,8 +91,7 @@ def test_residuals() -> None:
 
 
 def test_the_response_in_decibel_and_degrees() -> None:
-    found = drawn(response())
-    first = found["outputs"][0]
+    first: Any = drawn(response())["outputs"][0]
     assert first["gain_db"][0] == pytest.approx(20 * math.log10(0.9), abs=0.1)
     assert first["gain_low_db"][-1] is None and first["phase_deg"][-1] == pytest.approx(-180.0, abs=20.0)
     assert all(abs(a - b) < 90 for a, b in zip(first["phase_deg"], first["phase_deg"][1:], strict=False))
@@ -110,7 +109,7 @@ def test_only_what_is_excited_is_shown() -> None:
 
 
 def test_a_response_that_could_not_be_measured_says_why() -> None:
-    section = response_section({"reason": "nobody steers", "hz": []})
+    section = response_section(response() | {"reason": "nobody steers", "hz": []})
     assert texts(section) == ["Not measured: nobody steers."]
 
 

@@ -6,8 +6,11 @@ from tilth.analysis.report import nuisance_words, wording
 from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import NOTHING
 from tilth.estimator.filters.unknowns import NAMES
+from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
+
+UNKNOWN: ParameterEntry = {"value": None, "sd": None, "status": "invalid", "reason": ""}
 
 
 @pytest.mark.parametrize(
@@ -32,7 +35,7 @@ from tilth.schemas.machine import Machine
         (wording.listed(["a", "b", "c"]), "a, b and c"),
         (wording.listed([]), ""),
         (wording.clock(1_700_000_000.0), "22:13:20"),
-        (wording.parameter_cell("C_ai", {"value": None, "status": "invalid"}).text, "invalid"),
+        (wording.parameter_cell("C_ai", UNKNOWN).text, "invalid"),
     ],
 )
 def test_texts(told: str, text: str) -> None:

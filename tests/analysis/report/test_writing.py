@@ -12,7 +12,7 @@ from tilth.analysis.report.writing import outputs, write
 
 
 @pytest.fixture
-def report(facts: dict[str, Any]) -> DriveReport:
+def report(facts: Any) -> DriveReport:
     return report_of({"runs": [facts], "command": ""})
 
 

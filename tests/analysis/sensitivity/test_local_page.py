@@ -1,5 +1,7 @@
 """The report on local sensitivities."""
 
+from typing import Any
+
 from tilth.analysis.sensitivity.local_answer import LocalQuestion, local_answer
 from tilth.analysis.sensitivity.local_page import largest, local_report
 from tilth.estimator.models.family import model_named
@@ -10,9 +12,9 @@ RELAXATION = model_named("relaxation")
 
 def test_a_section_for_each_model_and_the_largest_first() -> None:
     question = LocalQuestion((RELAXATION, model_named("dynamic")), (4.5,), (3.0,))
-    answer = local_answer(TABLE_7_2, question)
+    answer: Any = local_answer(TABLE_7_2, question)
     plain = {"machine": "a rig", "command": "tilth sensitivity", "another": {}, "curves": {}, "frequency": {}}
-    report = local_report({**answer, **plain, "made": {"machine_sha256": "0", "software": {}}})
+    report = local_report(answer | plain | {"made": {"machine_sha256": "0", "software": {}}})
     assert [section.id for section in report.sections][:3] == ["short", "relaxation-local", "dynamic-local"]
     of_model = answer["speeds"][0]["local"]
     order = [of_model[name]["overall"] for name in largest(of_model)]

@@ -32,12 +32,11 @@ BASE = Knowledge("a test", TABLE_7_2, (), np.zeros((0, 0)))
 SCALARS = ("psi_t", "psi_i", "steady_v", "steady_r", "steady_articulation", "off_tracking", "cross_track")
 
 
-def asked(known: Knowledge, draws: int = 600) -> dict[str, Any]:
+def asked(known: Knowledge, draws: int = 600) -> Any:
     question = UncertaintyQuestion((RELAXATION,), (4.5,), (6.0,), draws=draws)
     (entry,) = uncertainty_answer(known, question)["speeds"]
     assert entry["unstable_share"] == 0.0
-    outputs: dict[str, Any] = entry["outputs"]
-    return outputs
+    return entry["outputs"]
 
 
 @pytest.mark.parametrize("correlations", [[], [("C_af", "C_ar", 0.8), ("C_ai", "sigma_i", -0.6)]])
@@ -98,7 +97,7 @@ def test_unstable_rigs_are_counted_apart() -> None:
     known = given(BASE, {"C_ar": 1.2})
     question = UncertaintyQuestion((RELAXATION,), (7.5,), (3.0,), draws=300, outputs=("r_t",))
     (entry,) = uncertainty_answer(known, question)["speeds"]
-    assert 0.02 < entry["unstable_share"] < 0.5 and np.isfinite(entry["outputs"]["r_t"]["half"])
+    assert 0.02 < entry["unstable_share"] < 0.5 and entry["outputs"]["r_t"]["half"] is not None
 
 
 def test_the_same_question_has_the_same_answer() -> None:

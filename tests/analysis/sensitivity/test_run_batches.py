@@ -3,6 +3,7 @@
 import pickle
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ def test_the_answer_is_the_mean_of_the_local_ones() -> None:
 
 
 def test_the_answer_names_the_side_that_is_unstable() -> None:
-    answer = global_answer(PLAN, part_of(PLAN, 0, PLAN.design.size))
+    answer: Any = global_answer(PLAN, part_of(PLAN, 0, PLAN.design.size))
     assert 0 < answer["unstable_share"] < 0.5
     assert "C_af high" in answer["unstable_where"] and "C_ar low" in answer["unstable_where"]
     for row in answer["global"].values():

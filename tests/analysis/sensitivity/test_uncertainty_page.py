@@ -6,7 +6,7 @@ import pytest
 
 from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to
 
-PARAMETERS = {"C_af": {"log_sd": 0.3}, "sigma_f": {"log_sd": 0.2}}
+PARAMETERS: Any = {"C_af": {"log_sd": 0.3}, "sigma_f": {"log_sd": 0.2}}
 
 
 @pytest.mark.parametrize(
@@ -22,8 +22,8 @@ def test_nothing_is_known_of_what_has_no_interval() -> None:
 
 def test_causes_come_with_the_largest_first_and_small_ones_are_left_out() -> None:
     shares = {"C_af": 0.2, "sigma_f": 0.7, "C_ar": 0.01, "C_ai": None}
-    said = causes({"parameters": {name: {"share": share} for name, share in shares.items()}})
-    assert said == "sigma_f 70 %, C_af 20 %"
+    output: Any = {"parameters": {name: {"share": share} for name, share in shares.items()}}
+    assert causes(output) == "sigma_f 70 %, C_af 20 %"
 
 
 @pytest.mark.parametrize(
@@ -36,5 +36,5 @@ def test_causes_come_with_the_largest_first_and_small_ones_are_left_out() -> Non
     ],
 )
 def test_what_must_be_known(factor: float | None, alone: dict[str, float | None], said: str) -> None:
-    wanted: dict[str, Any] = {"half": 0.1, "factor": factor, "alone": alone}
-    assert said in in_words("the offset", {"wanted": wanted, "unit": "m"}, PARAMETERS)
+    output: Any = {"wanted": {"half": 0.1, "factor": factor, "alone": alone}, "unit": "m"}
+    assert said in in_words("the offset", output, PARAMETERS)

@@ -10,6 +10,7 @@ from recorded import STEPS, recorded, shared_cache
 import tilth.analysis
 from studies.dissertation import chapter7
 from tilth.analysis.fit.fitting import Fitted, choose, driven_of, fit_all
+from tilth.analysis.report.document import plain
 from tilth.analysis.validation import held_out
 from tilth.analysis.validation.held_out import Subset, predictable, subsets
 from tilth.analysis.validation.validate import hold_out
@@ -83,7 +84,7 @@ def test_what_is_too_short_cannot_be_predicted(fitted: Fitted) -> None:
 
 
 def test_numbers_that_do_not_exist_are_none(table: tuple[Subset, ...]) -> None:
-    rows: list[dict[str, Any]] = held_out.as_json(table)
+    rows: list[dict[str, Any]] = plain(table)
     assert rows[0]["fitted"] == [] and set(rows[1]["cells"][0]) >= {"run", "held_out", "tractor_m", "gain"}
     assert "NaN" not in repr(rows) and "nan" not in repr(rows)
 
@@ -95,7 +96,7 @@ def test_subsets(count: int, rows: int) -> None:
 
 
 def test_a_group_of_the_dissertations_runs_is_the_table(fitted: Fitted, table: tuple[Subset, ...]) -> None:
-    rows = chapter7.group(fitted, shared_cache())["subsets"]
+    rows: Any = chapter7.group(fitted, shared_cache())["subsets"]
     assert [row["runs"] for row in rows] == [[], [1], [2], [1, 2]] and "values" not in rows[0]
     for row, subset in zip(rows, table, strict=True):
         assert row["cells"] == [[cell.tractor_m, cell.implement_m] for cell in subset.cells]
