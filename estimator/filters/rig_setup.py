@@ -21,7 +21,7 @@ SPEED_SHARE: Final = 0.4  # sd of the speed over that of a receiver's velocity: 
 
 DEFLECTION: Final = 0.045  # m, of tyres under their static load
 FRONT_DEFLECTION: Final = 0.06  # m, the same of the front tyres: smaller, and near their rated load
-PIVOT_HEIGHT: Final = 0.7  # of the front axle's pivot above the ground, m
+PIVOT_HEIGHT: Final = 0.7  # of the front wheels' pin above the ground, m
 DAMPING: Final = 0.08  # of the roll modes
 GYRATION: Final = 0.48  # radius of gyration in roll, over the track
 SMALL: Final = 1e-4  # scale of motions for which the model is linear
