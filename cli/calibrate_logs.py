@@ -193,5 +193,7 @@ def _show(found: Calibrated) -> None:
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
     for one in found.verdict.numbers:
         if one.why_not:
-            verb = "not told" if one.status == NOT_IDENTIFIABLE else "better told"
-            console.print(f"{one.number.words}: {verb} by: {one.why_not}", highlight=False, soft_wrap=True)
+            verb = "not identifiable" if one.status == NOT_IDENTIFIABLE else "weakly identified"
+            console.print(
+                f"{one.number.words}: {verb}; better by: {one.why_not}", highlight=False, soft_wrap=True
+            )

@@ -51,11 +51,11 @@ def _numbers(found: Calibrated) -> ReportSection:
         "by either half",
         "status",
     )
-    table = ReportTable("numbers", "What the drive told, on top of what the file said", columns, rows)
+    table = ReportTable("numbers", "What the drive shows, on top of what the file says", columns, rows)
     asked = []
     for one in found.verdict.numbers:
         if one.why_not:
-            verb = "is not told" if one.status == NOT_IDENTIFIABLE else "would be told better"
+            verb = "is not identifiable" if one.status == NOT_IDENTIFIABLE else "is weakly identified"
             asked.append(ReportText(f"{one.number.words}: {verb}; {one.why_not}."))
     return ReportSection("numbers", "Numbers", (table, *asked))
 

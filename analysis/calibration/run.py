@@ -26,7 +26,14 @@ from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
 from tilth.estimator.calibration.receivers import ReceiverRow
 from tilth.estimator.calibration.steering_response import SteeringResponse, respond
-from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE, NumberVerdict, RigVerdict, verdict
+from tilth.estimator.calibration.verdict import (
+    IDENTIFIED,
+    NOT_IDENTIFIABLE,
+    WEAKLY_IDENTIFIED,
+    NumberVerdict,
+    RigVerdict,
+    verdict,
+)
 from tilth.replay.readers.rig import Say
 from tilth.replay.simulated import SAID, simulated_by
 from tilth.replay.wheel_by_way import find, reading_as
@@ -41,6 +48,10 @@ Progress = Callable[[str, float], None]
 
 READING: Final = 0.1  # share of the work
 MANY: Final = 20  # seconds with positions of a device that the file does not name
+STATUS_WORDS: Final = {
+    IDENTIFIED: "identified", WEAKLY_IDENTIFIED: "weakly identified", NOT_IDENTIFIABLE: "not identifiable",
+}  # fmt: skip
+"""For people; JSON and the wire have the status itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +253,7 @@ def _notes(heard: LogHeard) -> list[str]:
 
 def _of_the_file(one: NumberVerdict, zero: float) -> NumberVerdict:
     """The same as it changes the file: the wheel's scale by as much as its reading was too large; its zero,
-    rad, with what the scale does to it. What is not told changes nothing there."""
+    rad, with what the scale does to it. What is not identifiable changes nothing there."""
     if one.status == NOT_IDENTIFIABLE:
         return one
     if one.number.name == "wheel_gain":
@@ -280,5 +291,5 @@ def _row(one: NumberVerdict, written: str) -> tuple[str, ...]:
         shown(one.sd),
         shown(number.wanted_sd),
         halves,
-        one.status,
+        STATUS_WORDS[one.status],
     )

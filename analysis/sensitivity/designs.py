@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from tilth.analysis.sensitivity.answers import DesignAnswer
+
 Array = NDArray[np.float64]
 
 BLOCK: Final = 1024  # points drawn from one seed

@@ -163,7 +163,9 @@ def _of_whiteness(output: str, outcome: Outcome, lags_s: Array, correlation: Arr
     if correlation[worst] < 0.0:
         usual = "the filter follows its measurements too closely, or the sensor smooths or differentiates"
     elif correlation[0] > 0.5 * correlation[worst]:
-        usual = "the model lacks something slow, such as the ground's push, or its process noise is too small"
+        usual = (
+            "the model lacks something slow, such as the ground's forces, or its process noise is too small"
+        )
     else:
         usual = "something swings or comes late at this interval, such as a sensor's latency"
     return (

@@ -1,9 +1,10 @@
-"""Companions of a filter run: the same filter with other noise levels.
+"""Perturbed filters beside a run: the same filter with other noise levels.
 
-What noise levels do to the prediction errors, by way of the gains, has no closed form. A companion has the
+What noise levels do to the prediction errors, by way of the gains, has no closed form. Such a filter has the
 covariance of another noise level and shares all Jacobians with the run. Its state is kept as the deviation
-from the run's, which moves by these Jacobians: it needs no motion model of its own. How long the pushes last
-counts among the noise levels. The run itself is the first of the filters, and deviates by nothing.
+from the run's, which moves by these Jacobians: it needs no motion model of its own. The time constant of
+the disturbances counts among the noise levels. The run itself is the first of the filters, and deviates by
+nothing.
 """
 
 from typing import NamedTuple
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 class Filters(NamedTuple):
-    """The run's filter and its companions, c in all."""
+    """The run's filter and those beside it, c in all."""
 
     points: Array  # (c, n), of the unknowns
     deviation: Array  # (30, c), of the state from the run's
@@ -39,7 +40,7 @@ class Filters(NamedTuple):
 
 @kernel
 def filters(point: Array, nearby: Array) -> Filters:
-    """At the first tick of a run at a point, (n,), with companions at the points nearby, (c - 1, n)."""
+    """At the first tick of a run at a point, (n,), with others at the points nearby, (c - 1, n)."""
     count = 1 + nearby.shape[0]
     points = np.empty((count, point.shape[0]))
     points[0], points[1:] = point, nearby
@@ -83,7 +84,7 @@ def set_innovations(error: float, sd: float, kind: int, H: Array, run: Filters) 
 
 @inner_kernel
 def deviate(run: Filters, work: UpdateWork) -> None:
-    """Add to the deviations what an update has moved the companions by more than the run."""
+    """Add to the deviations what an update has moved the perturbed filters by more than the run."""
     for i in range(N_STATES):
         for c in range(1, run.errors.shape[0]):
             run.deviation[i, c] += work.gain[c, i] * run.errors[c] - work.moved[i]

@@ -36,8 +36,8 @@ class RollModes(NamedTuple):
     d_i: float
     j_t: float  # kg m^2, about a line through the CG
     j_i: float
-    pivot_height: float  # m, height of the front axle's pin
-    k_f: float  # N m/rad, of the front axle about its pin
+    pivot_height: float  # m, of the front axle's pivot above the ground
+    k_f: float  # N m/rad, of the front axle about its pivot
 
 
 class RigSetup(NamedTuple):

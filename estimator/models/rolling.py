@@ -3,7 +3,7 @@
 The planar model of nonlinear.py and two more degrees of freedom. Each body leans about the line on the ground
 below its CG: lean phi, relative to the ground's cross slope, positive right side down, and its rate p. The
 line is what tyres and hitch hold; the CG at height h sways above it, so that the side forces move
-m (a_y + h p'). The front axle hangs on a pin, the drawbar is at height h_h. The speed is held, by whatever
+m (a_y + h p'). The front axle hangs on a pivot, the drawbar is at height h_h. The speed is held, by whatever
 force of the driven wheels it takes; what an implement's rolling resistance pulls takes load off the front
 wheels. The two wheels of an axle slip each by itself, as far as `two_track` says. Valid for driving forward,
 to 35 degrees of the wheels and 60 of articulation.

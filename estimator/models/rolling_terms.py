@@ -24,7 +24,7 @@ PARAMETERS: Final = (
 """Cornering stiffnesses (N/rad), relaxation lengths (m); parameters.GEOMETRY; heights of the CGs and of the
 drawbar (m); rolling resistance over load; 1 over the largest side force over load. Of the roll modes:
 stiffness (N m/rad, less what gravity takes off), damping (N m s/rad) and inertia about a line through the CG
-(kg m^2); height of the front axle's pin (m) and stiffness of the axle about it (N m/rad); camber thrust of a
+(kg m^2); height of the front axle's pivot (m), stiffness of the axle about it (N m/rad); camber thrust of a
 leaning wheel over its load and its camber angle; how far relaxation lengths fall with slip: `kept_length`;
 how far the front wheels turn by the same angle: 0 towards one centre (Ackermann), 1 in parallel; how far the
 wheels of an axle slip each by itself in a turn: 1 as two a track apart, 0 as one amid the axle."""
@@ -84,7 +84,7 @@ def kept_length_by_slip(slip: float, slip_dependence: float) -> float:
 
 @kernel
 def kept_length_by_slip_dependence(slip: float, slip_dependence: float) -> float:
-    """Derivative of `kept_length` by shrink."""
+    """Derivative of `kept_length` by slip_dependence."""
     lost = 0.5 * slip if slip < 1e-6 else 1.0 + math.expm1(-slip) / slip
     return -lost if 1.0 - slip_dependence * lost >= SHORTEST else 0.0
 

@@ -103,9 +103,9 @@ def step_changes(
 
 def _discretise(z: Array, f: Array, spare: Array) -> None:
     """Fill f, (8, 8): the exponential of a step, less one. Rows: the states and psi_t; columns: the states
-    and the constant push, for no state depends on psi_t.
+    and the constant input, for no state depends on psi_t.
 
-    z: (8, 8), A and the push, times the step; its last row turns r_t into psi_t. Squared as often as needed.
+    z: (8, 8), A and the input, times the step; its last row turns r_t into psi_t. Squared as often as needed.
     """
     norm = 0.0
     for i in range(7):
@@ -154,7 +154,7 @@ def _twice(f: Array, spare: Array) -> None:
 
 def _look_ahead(f: Array, rows: Array) -> None:
     """Fill rows, (4, 8, AHEAD): what v, r_t, r_i and the change of psi_t will be after 1, 2, … steps, by the
-    states now and the push. Rows of powers of the step, each from the one before."""
+    states now and the input. Rows of powers of the step, each from the one before."""
     for out in range(4):
         row = rows[out]
         at = out if out < 3 else 7

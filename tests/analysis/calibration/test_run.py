@@ -10,7 +10,7 @@ from logs import MACHINE, MACHINE_TEXT
 
 from tilth.analysis.calibration.page import report_of
 from tilth.analysis.calibration.reading import read
-from tilth.analysis.calibration.run import calibrate_logs, steering
+from tilth.analysis.calibration.run import STATUS_WORDS, calibrate_logs, steering
 from tilth.analysis.report.document import ReportTable
 from tilth.estimator.calibration.changes import Changes
 from tilth.estimator.calibration.steering_response import SteeringResponse
@@ -56,3 +56,5 @@ def test_the_report_has_all_that_was_found(drive: Path) -> None:
     assert [section.id for section in report.sections][:2] == ["glance", "numbers"]
     (table,) = [part for part in report.sections[1].parts if isinstance(part, ReportTable)]
     assert len(table.rows) == len(found.verdict.numbers) > 10 and report.data == found.as_json()
+    for row, one in zip(table.rows, found.verdict.numbers, strict=True):
+        assert row[-1].text == STATUS_WORDS[one.status] != one.status
