@@ -81,7 +81,7 @@ def sds(state: fold.State) -> np.ndarray[Any, np.dtype[np.float64]]:
 @pytest.mark.parametrize("row", [row for row in ESTIMATORS if row.memory], ids=lambda row: row.method)
 def test_what_is_kept_at_once_goes_on_as_it_was(row: Any) -> None:
     before, after = taught(), fold.initial(MACHINE)
-    assert resume(after, save_learned(before, NOW), 0.0, NOW)[row.method] == ""
+    assert resume(after, save_learned(before, NOW), 0.0, NOW)[row.method] is None
     memory, old, new = row.memory, before.estimators[row.method], after.estimators[row.method]
     assert new.informed_ns == old.informed_ns
     stays = [k for k, name in enumerate(memory.names) if name not in memory.per_run]
