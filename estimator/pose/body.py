@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tilth.estimator.pose.geometry import Vector, rotate, wrap
+from tilth.estimator.rig.geometry import Vector, rotate, wrap
 
 
 @dataclass(frozen=True, slots=True)

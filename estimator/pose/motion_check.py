@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.geometry import rotate
+from tilth.estimator.rig.geometry import rotate
 from tilth.schemas.flow import BodyPose, Pose
 
 Array = NDArray[np.float64]

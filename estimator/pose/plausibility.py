@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from itertools import permutations
 
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.geometry import Vector, rotate
+from tilth.estimator.rig.geometry import Vector, rotate
 from tilth.schemas.flow import Flag, FlagKind, Mount
 from tilth.schemas.machine import Machine
 

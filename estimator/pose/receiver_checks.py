@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline
-from tilth.estimator.pose.geometry import rotate, wrap
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
+from tilth.estimator.rig.geometry import rotate, wrap
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import WITHIN, plus_minus

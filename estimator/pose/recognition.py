@@ -21,8 +21,9 @@ from typing import Final
 
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.geometry import Vector, to_plane, wrap
+from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.receiver_track import sample_at
+from tilth.estimator.rig.geometry import Vector, wrap
 from tilth.schemas.flow import EventKind, Mount, Position
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, WHEEL, WHEEL_NAME, Aligner
-from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.screen import SensorScreen
+from tilth.estimator.rig.geometry import wrap
 from tilth.schemas.flow import Flag, FlagKind, Pose
 
 STANDS: Final = FlagKind.STANDS_STILL

@@ -5,10 +5,10 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
-from tilth.estimator.pose.geometry import lever, wrap
 from tilth.estimator.pose.receiver_track import Stamped
 from tilth.estimator.pose.roll_pitch import RollPitch
 from tilth.estimator.record.record import EAST, HEADING, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE
+from tilth.estimator.rig.geometry import lever, wrap
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
 from tilth.schemas.reasons import Code

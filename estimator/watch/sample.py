@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity
-from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, Track, sample_at
+from tilth.estimator.rig.geometry import Vector, lever, rotate, wrap
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 WHEEL_HOLD_NS = 250_000_000

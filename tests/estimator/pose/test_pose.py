@@ -8,9 +8,10 @@ from circle import ORIGIN_DEG, START_NS, Circle, demo_machine
 
 from tilth.estimator.pose import aligner
 from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.geometry import to_plane, wrap
+from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.roll_pitch import roll_pitch_at
+from tilth.estimator.rig.geometry import wrap
 from tilth.schemas.flow import (
     Attitude,
     Fix,
