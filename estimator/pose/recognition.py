@@ -23,7 +23,8 @@ from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.receiver_track import sample_at
-from tilth.estimator.rig.geometry import Vector, wrap
+from tilth.estimator.rig.geometry import Vector, between, direction, wrap
+from tilth.estimator.rig.residuals import pair_of
 from tilth.schemas.flow import EventKind, Mount, Position
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
@@ -278,14 +279,12 @@ def _heading(at: Mapping[Mount, Vector], levers: Mapping[Mount, Vector]) -> floa
     """Of the tractor, rad; else about, of the implement, or from one body to the other."""
     for front, rear in plausibility.PAIRS:
         if front in at and rear in at:
-            arm = levers[front][0] - levers[rear][0], levers[front][1] - levers[rear][1]
-            north, east = at[front][0] - at[rear][0], at[front][1] - at[rear][1]
-            return math.atan2(east, north) - math.atan2(arm[1], arm[0])
+            return pair_of(at[front], at[rear], levers[front], levers[rear]).heading
     tractor = next((at[m] for m in plausibility.PAIRS[0] if m in at), None)
     implement = next((at[m] for m in plausibility.PAIRS[1] if m in at), None)
     if tractor is None or implement is None:
         return None
-    return math.atan2(tractor[1] - implement[1], tractor[0] - implement[0])
+    return direction(between(tractor, implement))
 
 
 def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], str]:

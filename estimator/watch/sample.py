@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
-from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity
+from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, Track, sample_at
-from tilth.estimator.rig.geometry import Vector, lever, rotate, wrap
+from tilth.estimator.rig.geometry import Vector, lever, wrap
+from tilth.estimator.rig.residuals import hitch_gap
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 WHEEL_HOLD_NS = 250_000_000
@@ -57,9 +58,9 @@ def sample(aligner: Aligner, t_ns: int) -> Sample | None:
     implement = _body(aligner, machine.implement, pairs[1], machine.implement.d.value, t_ns)
     if tractor is None or implement is None:
         return None
-    gap = (tractor.hitch[0] - implement.hitch[0], tractor.hitch[1] - implement.hitch[1])
+    gap = hitch_gap(tractor.hitch, implement.hitch, implement.heading)
     wheel = sample_at(aligner.wheel, t_ns, WHEEL_HOLD_NS)
-    return Sample(tractor, implement, rotate(gap, -implement.heading), wheel[0] if wheel else None)
+    return Sample(tractor, implement, gap, wheel[0] if wheel else None)
 
 
 Pair = tuple[Receiver, Receiver]
@@ -97,10 +98,8 @@ def _body(
     line = baseline(front, rear, 0.0)
     speed = cg_velocity(points, line.heading, rate, 0.0)
     assert speed is not None
-    middle = [(front.lever[k] + rear.lever[k]) / 2 for k in (0, 1)]
-    north, east = rotate((to_hitch - middle[0], -middle[1]), line.heading)
-    hitch = ((front.at[0] + rear.at[0]) / 2 + north, (front.at[1] + rear.at[1]) / 2 + east)
-    return BodySample(line.heading, line.excess, speed[0], speed[1], rate, roll, hitch)
+    seen = hitch(front, rear, line.heading, to_hitch)
+    return BodySample(line.heading, line.excess, speed[0], speed[1], rate, roll, seen)
 
 
 def _mean_roll(tracks: list[Track], t_ns: int) -> float | None:
