@@ -259,7 +259,7 @@ def _compare(
             and len(angles) == len(wheel)
             and _pair(at, plausibility.PAIRS[0])
         ):
-            length = machine.tractor.a.value + machine.tractor.b.value
+            length = machine.tractor.wheelbase
             expected = (one.forward - one.turn[1]) * math.tan(sum(angles) / len(angles)) / length
             error = wrap(heading - one.turn[0] - expected)
             likely = error**2 / (TURN_SD + TURN_SHARE * abs(expected)) ** 2 / 2.0

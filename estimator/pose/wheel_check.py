@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.rig.residuals import path_angle
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
 
@@ -46,8 +47,7 @@ def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
     u, r, reading = pose.tractor.forward_velocity, pose.tractor.yaw_rate, pose.wheel_angle
     if u is None or r is None or reading is None or u < SLOWEST:
         return
-    wheelbase = machine.tractor.a.value + machine.tractor.b.value
-    sample = np.array([math.atan(wheelbase * r / u), reading])
+    sample = np.array([path_angle(machine.tractor.wheelbase, u, r), reading])
     state.smoothed += (sample - state.smoothed) / SMOOTHING
     retained = 1.0 - 1.0 / MEMORY
     state.weight = retained * state.weight + 1.0

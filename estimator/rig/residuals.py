@@ -155,7 +155,7 @@ def gap_slopes(tractor: PairSlopes, implement: PairSlopes, articulation: Array, 
     return np.concatenate([of_tractor, of_implement], axis=-1)
 
 
-def sideways(lateral_velocity: X, yaw_rate: X, ahead: X) -> X:
+def sideways(lateral_velocity: X, yaw_rate: X, ahead: float | X) -> X:
     """Velocity to the right of an axle, m/s: zero where a pair points where its body goes, and no tyre slips.
 
     Over the forward velocity it is the angle from where the pair points to where the axle goes. ahead: of the
@@ -169,12 +169,12 @@ def sideways_slopes(forward_velocity: Array, yaw_rate: Array) -> Array:
     return np.stack([forward_velocity, yaw_rate], axis=-1)
 
 
-def path_angle(wheelbase: X, forward_velocity: X, yaw_rate: X) -> X:
+def path_angle(wheelbase: float | X, forward_velocity: X, yaw_rate: X) -> X:
     """The wheel angle, rad, with which a tractor whose tyres do not slip turns so."""
     return arctangent(wheelbase * yaw_rate / forward_velocity)
 
 
-def wheel_off(reading: X, path: X, lateral: X, zero: X, gain: X, understeer: X) -> X:
+def wheel_off(reading: X, path: X, lateral: X, zero: float | X, gain: float | X, understeer: float | X) -> X:
     """A reading of the wheels' angle less what the path asks for, rad.
 
     path: of `path_angle`. lateral: acceleration, speed times yaw rate, m/s^2. zero: reading when straight,
@@ -188,7 +188,7 @@ def wheel_slopes(path: Array, lateral: Array) -> Array:
     return np.stack([np.ones_like(path), path, lateral], axis=-1)
 
 
-def roll_off(roll: X, slope: X, lateral: X, zero: X, lean: X) -> X:
+def roll_off(roll: X, slope: float | X, lateral: X, zero: float | X, lean: float | X) -> X:
     """A measured roll less what ground and turn make, rad.
 
     slope: of the ground across the body, rad. lateral: as for `wheel_off`. zero: of the sensor, rad. lean: of

@@ -80,7 +80,7 @@ def lengths(machine: Machine) -> Lengths:
         places[:, 0], places[:, 1], shares,
         (places[0, 0] - places[1, 0], places[2, 0] - places[3, 0]),
         (-machine.tractor.b.value, -machine.implement.e.value),
-        machine.tractor.a.value + machine.tractor.b.value,
+        machine.tractor.wheelbase,
         np.array([sd * math.sqrt(2)] * 2 + [sd, right_sd, CRAB_SD, CRAB_SD, WHEEL_SD]),
         np.array([CORRELATED] * 4 + [CRAB_CORRELATED] * 2 + [WHEEL_CORRELATED]),
     )  # fmt: skip

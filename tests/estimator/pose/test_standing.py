@@ -173,7 +173,7 @@ def test_a_rig_that_stands_or_drives_straight_is_not_accused(quantity: str, u: f
 @pytest.mark.parametrize("turn", [0.0, 0.05, 0.3])
 def test_a_coarse_wheel_angle_that_is_held_is_not_accused(quantum: float, turn: float) -> None:
     """Wheels that are turned and then held for long: the path follows by and by."""
-    wheelbase = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+    wheelbase = MACHINE.tractor.wheelbase
 
     def angle(t: float) -> float:
         return turn * min(1.0, (t % 20.0) / 0.7)
