@@ -82,6 +82,15 @@ class Aligner:
         screen = self.screens.by.get(WHEEL_NAME)
         return screen is not None and (screen.stands or screen.failed)
 
+    def in_use(self, body: int, t_ns: int) -> list[tuple[int, Track, int]]:
+        """(index into MOUNTS, track, t_ns on its clock) of the receivers of a body that are not left out,
+        front first. body: 0 tractor, 1 implement."""
+        return [
+            (index, track, t_ns + self.latency.excess_ns(index))
+            for index in (2 * body, 2 * body + 1)
+            if (track := self.tracks.get(MOUNTS[index].value)) is not None and not track.left_out
+        ]
+
 
 def initial(machine: Machine) -> Aligner:
     """The state before the first measurement."""

@@ -107,11 +107,7 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
 
 def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
     """The measurements of one body's receivers, interpolated to t_ns; adds flags for what is missing."""
-    present = [
-        (i, track, t_ns + state.latency.excess_ns(i))
-        for i in BODIES[index]
-        if (track := state.tracks.get(MOUNTS[i].value)) is not None and not track.left_out
-    ]
+    present = state.in_use(index, t_ns)
     roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, SLOW_HOLD_NS))])
     pitch = _mean([s for _, tr, at in present if (s := sample_at(tr.pitches, at, SLOW_HOLD_NS))])
     yaw_rate = _mean([s for _, tr, at in present if (s := tr.yaw_rate_at(at))])

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity, hitch
-from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, Track, sample_at
+from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, sample_at
+from tilth.estimator.pose.roll_pitch import mean_of
 from tilth.estimator.rig.geometry import Vector, lever, wrap
 from tilth.estimator.rig.residuals import hitch_gap
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
@@ -81,11 +82,11 @@ def _body(
 ) -> BodySample | None:
     """to_hitch: forward of the body's CG, m."""
     tracks = [aligner.tracks[receiver.mount.value] for receiver in pair]
-    roll, rate = _mean_roll(tracks, t_ns), _mean_rate(tracks, t_ns)
+    roll = mean_of(sample_at(track.rolls, t_ns, SLOW_HOLD_NS) for track in tracks)
+    rate = mean_of(track.yaw_rate_at(t_ns) for track in tracks)
     if roll is None or rate is None:
         return None
-    pitches = [found[0] for track in tracks if (found := sample_at(track.pitches, t_ns, SLOW_HOLD_NS))]
-    pitch = sum(pitches) / len(pitches) if pitches else 0.0
+    pitch = mean_of(sample_at(track.pitches, t_ns, SLOW_HOLD_NS) for track in tracks) or 0.0
     points = []
     for receiver, track in zip(pair, tracks, strict=True):
         place, velocity = track.position_at(t_ns), track.velocity_at(t_ns)
@@ -100,13 +101,3 @@ def _body(
     assert speed is not None
     seen = hitch(front, rear, line.heading, to_hitch)
     return BodySample(line.heading, line.excess, speed[0], speed[1], rate, roll, seen)
-
-
-def _mean_roll(tracks: list[Track], t_ns: int) -> float | None:
-    found = [s[0] for track in tracks if (s := sample_at(track.rolls, t_ns, SLOW_HOLD_NS))]
-    return sum(found) / len(found) if found else None
-
-
-def _mean_rate(tracks: list[Track], t_ns: int) -> float | None:
-    found = [s[0] for track in tracks if (s := track.yaw_rate_at(t_ns))]
-    return sum(found) / len(found) if found else None
