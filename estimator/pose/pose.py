@@ -15,9 +15,10 @@ import numpy as np
 
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, WHEEL, Aligner, due
-from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
+from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.rig.geometry import Vector, lever, rotate, wrap
+from tilth.estimator.rig.residuals import hitch_gap
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
@@ -289,6 +290,7 @@ def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
         return
     speeds: list[float] = []
     hitches: list[Vector] = []
+    heading = 0.0
     for body, to_hitch in zip(
         bodies, (-state.machine.tractor.c.value, state.machine.implement.d.value), strict=True
     ):
@@ -299,14 +301,11 @@ def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
         row[list(BODIES[body.index])] = 1.0, -1.0
         sd = math.hypot(front.sd, rear.sd)
         state.latency.update(row, body.pair.excess, sd, body.pair.speed_along)
-        cg, _ = cg_position([front, rear], body.heading, body.sd_heading)
-        arm = rotate((to_hitch, 0.0), body.heading)
-        hitches.append((cg[0] + arm[0], cg[1] + arm[1]))
+        heading = body.heading
+        hitches.append(hitch(front, rear, heading, to_hitch))
         speeds.append(body.pair.speed_along)
-    heading = bodies[1].heading or 0.0
-    gap = (hitches[0][0] - hitches[1][0], hitches[0][1] - hitches[1][1])
-    ahead = gap[0] * math.cos(heading) + gap[1] * math.sin(heading)
-    _update_parked_means(state, bodies, ahead, gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
+    ahead, right = hitch_gap(hitches[0], hitches[1], heading)
+    _update_parked_means(state, bodies, ahead, right)
     sd = max(a.sd for body in bodies for a in body.antennas.values())
     state.latency.update(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
 
