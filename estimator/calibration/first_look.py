@@ -15,14 +15,20 @@ from numpy.typing import NDArray
 from tilth.estimator.calibration.drive import MOUNTS, STEP_S, DriveGrid
 from tilth.estimator.calibration.least_squares import Solved, solve
 from tilth.estimator.rig.geometry import rotate, rotation
-from tilth.estimator.rig.residuals import gap_by_place, pair_of, path_angle, sideways_slopes, wheel_slopes
+from tilth.estimator.rig.residuals import (
+    CRUISE,
+    gap_by_place,
+    pair_of,
+    path_angle,
+    sideways_slopes,
+    wheel_slopes,
+)
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STRAIGHT: Final = 0.012  # rad/s
-CRUISE: Final = 1.5  # m/s
 FOLDED: Final = math.radians(20.0)  # articulation: less hardly tells hitch and drawbar apart
 WEAVING: Final = 0.05  # rad/s: more than corrections along a row
 MOVING: Final = 0.8  # m/s

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration import receivers
-from tilth.estimator.calibration.first_look import CRUISE, FOLDED, MOVING, SLOW, STRAIGHT
+from tilth.estimator.calibration.first_look import FOLDED, MOVING, SLOW, STRAIGHT
 from tilth.estimator.calibration.receivers import STANDING, HeardReceivers
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.rig.geometry import between, direction, wrap
-from tilth.estimator.rig.residuals import path_angle
+from tilth.estimator.rig.residuals import CRUISE, path_angle
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
 from tilth.schemas.machine import Machine
 

@@ -34,14 +34,15 @@ from tilth.schemas.machine import Machine, Receiver
 
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
-LOST_NS = 1_000_000_000  # no usable position for this long
+LOST_NS = 1_500_000_000  # no usable position for this long; the slowest receivers send one a second
+FIX_NS = 5_000_000_000  # a fix that was reported longer ago counts as unknown
+WHEEL_HOLD_NS = 250_000_000  # of the last wheel angle or wheel-based speed
 MOVED_SD = 0.03  # s, by which a moved receiver's learned latency may be wrong: 0.1 m at 3 m/s
 FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
 ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
 CLOCKS_APART_NS = 3_000_000_000  # receivers tell UTC up to a second late
 LEAP_SECONDS_NS = (16_000_000_000, 20_000_000_000)  # some tell GPS time for UTC
 DAY_NS = 86_400_000_000_000
-UNDER_WAY = 1.0  # m/s: a rig at this speed moves every sensor's reading
 MOUNTS = tuple(Mount)
 WHEEL_BASED_PGN = 65096
 WHEEL = "wheel_angle"

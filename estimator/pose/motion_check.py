@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.rig.geometry import rotate
+from tilth.estimator.rig.residuals import CRUISE
 from tilth.schemas.flow import BodyPose, Pose
 
 Array = NDArray[np.float64]
@@ -21,7 +22,6 @@ Array = NDArray[np.float64]
 NAMES: Final = ("tractor", "implement")
 STEP_NS: Final = 200_000_000  # from pose to pose
 INTERVAL: Final = 10  # poses (2 s): several metres, large against the noise of positions
-SLOWEST: Final = 1.5  # m/s
 INTERVAL_MEMORY: Final = 10.0  # intervals (20 s) over which the mean forgets
 LEAST_INTERVALS: Final = 5.0
 LARGEST_DISTANCE_ERROR: Final = 0.1  # share: slip, slope and latency at a nearly constant speed cause less
@@ -112,7 +112,7 @@ def _take_motion(body: BodyMotion, body_pose: BodyPose) -> None:
         or body_pose.y is None
         or speed is None
         or body_pose.heading is None
-        or abs(speed) < SLOWEST
+        or abs(speed) < CRUISE
     ):
         body.place = None
         return
@@ -145,7 +145,7 @@ def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
     speed, psi = body_pose.forward_velocity, body_pose.heading
     if body_pose.roll is None or body_pose.yaw_rate is None or speed is None or psi is None:
         return
-    if abs(speed) < SLOWEST:
+    if abs(speed) < CRUISE:
         return
     sample = np.array([speed * body_pose.yaw_rate, body_pose.roll, math.cos(psi), math.sin(psi)])
     keep = 1.0 - 1.0 / ROLL_MEMORY

@@ -14,23 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, WHEEL, Aligner, due
+from tilth.estimator.pose.aligner import (
+    FIX_NS,
+    LOST_NS,
+    MOUNTS,
+    POSE_NS,
+    WHEEL,
+    WHEEL_HOLD_NS,
+    Aligner,
+    due,
+)
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.rig.geometry import Vector, lever, rotate, wrap
-from tilth.estimator.rig.residuals import hitch_gap
+from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 MOVING = 0.3  # m/s
-FIX_NS = 5_000_000_000  # a fix that was reported longer ago counts as unknown
 STRAIGHT = 0.05  # rad/s: at smaller yaw rates a body at CRUISE or faster moves where it points
-CRUISE = 1.5  # m/s
 CREEP = 0.7  # m/s: at lower speeds no latency shifts a point by more than the survey's error
 SHARP_POSITION_SD = 0.1  # m: positions with a larger sd are not compared with the survey
 LATENCY_SDS = 2.5  # sds of the machine file: further off, latency or position of the receiver is wrong
 LATENCY_SLACK_S = 0.02
-WHEEL_HOLD_NS = 250_000_000
 UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that is not measured
 LONGEST_YAW_RATE_HEADING_NS = 5_000_000_000  # a heading is continued by the yaw rate at most this long
 YAW_RATE_HEADING_WALK = math.radians(0.3)  # rad per sqrt(s), growth of its sd
@@ -186,9 +192,8 @@ def _update_long_term_means(state: Aligner, bodies: list[_Body]) -> None:
         straight = body.yaw_rate is not None and abs(body.yaw_rate[0]) < STRAIGHT
         if body.pair_velocity is not None and straight and math.hypot(*body.pair_velocity[:2]) > CRUISE:
             # The absolute value makes forward and reverse alike: reversing is no fault.
-            state.long_term.crab_angle[body.index].add(
-                math.atan2(body.pair_velocity[1], abs(body.pair_velocity[0]))
-            )
+            u, v, _ = body.pair_velocity
+            state.long_term.crab_angle[body.index].add(math.atan2(v, abs(u)))
 
 
 def _update_parked_means(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:

@@ -24,7 +24,7 @@ from tilth.estimator.pose.body import ReportedPoint, baseline, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
 from tilth.estimator.rig.geometry import Vector, between, length, wrap
-from tilth.estimator.rig.residuals import hitch_gap, hitch_shares
+from tilth.estimator.rig.residuals import UNDER_WAY, hitch_gap, hitch_shares
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import WITHIN, plus_minus
@@ -32,7 +32,6 @@ from tilth.schemas.spread import WITHIN, plus_minus
 Array = NDArray[np.float64]
 
 INTERVAL: Final = 10  # poses (2 s): about as long as it takes to turn in
-SLOWEST: Final = 1.0  # m/s
 HITCH_SAMPLE_POSES: Final = 5  # poses (1 s) between two samples of the gap at the hitch
 HITCH_SAMPLES_IN_ONE: Final = 4.0
 """How many of them count as one: errors of receivers last for half a minute, and so does a roll on a slope.
@@ -102,7 +101,7 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     kinds = {flag.kind for flag in pose.flags}
     speed = pose.tractor.forward_velocity
     pairs: list[_Pair | None] = [None, None]
-    if speed is not None and speed > SLOWEST and not kinds & WITHOUT_RTK:
+    if speed is not None and speed > UNDER_WAY and not kinds & WITHOUT_RTK:
         pairs = [_pair(aligner, body, t_ns) for body in (0, 1)]
     rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):

@@ -20,7 +20,7 @@ from itertools import permutations
 from typing import Final
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.aligner import WHEEL_HOLD_NS, Aligner
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.receiver_track import sample_at
 from tilth.estimator.rig.geometry import Vector, between, direction, wrap
@@ -43,7 +43,6 @@ LATENCY_SD: Final = 0.03  # s: a point may be so much ahead of or behind its pla
 TURN_NS: Final = 1_000_000_000  # over which the change of heading is compared with the wheel angle
 TURN_SD: Final = 0.06  # rad in that time
 TURN_SHARE: Final = 0.3  # of the expected turn, by which it may be wrong: slip, wheel angle
-WHEEL_HOLD_NS: Final = 250_000_000
 REPORTED_NS: Final = 3_000_000_000  # age of the direction that the vehicle reports
 AGAINST: Final = 2.0  # log-likelihood that a comparison costs where the reported direction is the opposite
 BEFORE: Final = 6.0  # log-likelihood that every receiver is where it was before

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, WHEEL, WHEEL_NAME, Aligner
+from tilth.estimator.pose.aligner import POSE_NS, WHEEL, WHEEL_NAME, Aligner
 from tilth.estimator.pose.screen import SensorScreen
 from tilth.estimator.rig.geometry import wrap
-from tilth.estimator.rig.residuals import path_angle
+from tilth.estimator.rig.residuals import UNDER_WAY, path_angle
 from tilth.schemas.flow import Flag, FlagKind, Pose
 
 STANDS: Final = FlagKind.STANDS_STILL

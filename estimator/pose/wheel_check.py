@@ -13,13 +13,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.rig.residuals import path_angle
+from tilth.estimator.rig.residuals import CRUISE, path_angle
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOWEST: Final = 1.5  # m/s
 MEMORY: Final = 100.0  # poses (20 s)
 SMOOTHING: Final = 10.0  # poses (2 s), time constant
 LEAST_POSES: Final = 25.0  # poses
@@ -45,7 +44,7 @@ class WheelCheck:
 def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
     """Take one pose."""
     u, r, reading = pose.tractor.forward_velocity, pose.tractor.yaw_rate, pose.wheel_angle
-    if u is None or r is None or reading is None or u < SLOWEST:
+    if u is None or r is None or reading is None or u < CRUISE:
         return
     sample = np.array([path_angle(machine.tractor.wheelbase, u, r), reading])
     state.smoothed += (sample - state.smoothed) / SMOOTHING

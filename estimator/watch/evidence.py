@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
 from tilth.estimator.rig.residuals import (
+    CRUISE,
     LATENCIES,
     PairSlopes,
     gap_by_place,
@@ -54,7 +55,6 @@ KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two cr
 CORRELATED: Final = 25.0  # poses (5 s) whose position errors count as one, as in pose/latency.py
 CRAB_SD, CRAB_CORRELATED = 0.012, 6.0  # rad of one pose on even ground; poses that count as one
 WHEEL_SD, WHEEL_CORRELATED = 0.006, 10.0
-SLOWEST: Final = 1.5  # m/s, for directions of travel
 STRAIGHT: Final = 0.1  # rad/s
 GENTLE: Final = 1.0  # m/s^2 of lateral acceleration, up to which slip is proportional to it
 SMALL_ANGLE: Final = math.radians(9.0)  # of the wheels
@@ -78,7 +78,8 @@ def lengths(machine: Machine) -> Lengths:
     by_mount = {receiver.mount: receiver for receiver in machine.receiver}
     levers = np.array([by_mount[mount].position[:2] for mount in MOUNTS]).reshape(2, 2, 2)
     places = np.array([-machine.tractor.c.value, machine.implement.d.value])
-    shares = hitch_shares(*np.moveaxis(levers, 0, 2), places)
+    front, rear = levers.transpose(1, 2, 0)
+    shares = hitch_shares((front[0], front[1]), (rear[0], rear[1]), places)
     sd = max(receiver.position_sd for receiver in machine.receiver)
     right_sd = sd * float(np.linalg.norm(shares))
     return Lengths(
@@ -116,7 +117,7 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
 
 def _is_gentle(body: BodySample) -> bool:
     u, r = body.forward_velocity, body.yaw_rate
-    return u > SLOWEST and abs(r) < STRAIGHT and abs(u * r) < GENTLE
+    return u > CRUISE and abs(r) < STRAIGHT and abs(u * r) < GENTLE
 
 
 def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:

@@ -7,15 +7,13 @@ that was moved along its body. The watch learns them itself, beside the places.
 from dataclasses import dataclass
 
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.aligner import MOUNTS, Aligner
+from tilth.estimator.pose.aligner import MOUNTS, WHEEL_HOLD_NS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, sample_at
 from tilth.estimator.pose.roll_pitch import mean_of
 from tilth.estimator.rig.geometry import Vector, lever, wrap
 from tilth.estimator.rig.residuals import hitch_gap
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
-
-WHEEL_HOLD_NS = 250_000_000
 
 
 @dataclass(frozen=True, slots=True)
