@@ -27,7 +27,7 @@ from tilth.estimator.pose.aligner import (
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.rig.geometry import Vector, lever, rotate, wrap
-from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap
+from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap, sideways
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
@@ -185,15 +185,18 @@ def _withhold_doubtful(state: Aligner, bodies: list[_Body], late: bool) -> list[
 
 def _update_long_term_means(state: Aligner, bodies: list[_Body]) -> None:
     """Add this instant to the means of baseline excess and crab angle, which should be zero."""
-    for body in bodies:
+    axles = -state.machine.tractor.b.value, -state.machine.implement.e.value
+    for body, axle in zip(bodies, axles, strict=True):
         if body.pair is None:
             continue
         state.long_term.excess[body.index].add(body.pair.excess)
-        straight = body.yaw_rate is not None and abs(body.yaw_rate[0]) < STRAIGHT
-        if body.pair_velocity is not None and straight and math.hypot(*body.pair_velocity[:2]) > CRUISE:
+        if body.pair_velocity is None or body.yaw_rate is None or abs(body.yaw_rate[0]) >= STRAIGHT:
+            continue
+        u, v, _ = body.pair_velocity
+        if math.hypot(u, v) > CRUISE:
             # The absolute value makes forward and reverse alike: reversing is no fault.
-            u, v, _ = body.pair_velocity
-            state.long_term.crab_angle[body.index].add(math.atan2(v, abs(u)))
+            at_axle = sideways(v, body.yaw_rate[0], axle)
+            state.long_term.crab_angle[body.index].add(math.atan2(at_axle, abs(u)))
 
 
 def _update_parked_means(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:
