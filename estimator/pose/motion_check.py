@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.pose.moments import Moments
 from tilth.estimator.rig.geometry import rotate
 from tilth.estimator.rig.residuals import CRUISE
 from tilth.schemas.flow import BodyPose, Pose
@@ -45,10 +46,8 @@ class BodyMotion:
     weight: float = 0.0  # number of intervals in the two sums that follow
     displacement_integral: float = 0.0  # displacement times integral of the velocity, m^2
     integral_squared: float = 0.0  # the integral squared, m^2
-    roll_weight: float = 0.0  # number of poses in the moments
-    mean: Array = field(default_factory=lambda: np.zeros(4))
+    rolls: Moments = field(default_factory=lambda: Moments.of(4))
     """Of lateral acceleration (m/s^2), roll (rad), cosine and sine of the heading."""
-    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))  # central, of the same four
 
 
 @dataclass(slots=True)
@@ -87,9 +86,9 @@ def found(state: MotionCheck) -> dict[str, str]:
                 f"the {name}'s measured roll follows its turns by {size}, as no vehicle leans: {key}?"
             )
     tractor, implement = state.bodies
-    difference = float(tractor.mean[1] - implement.mean[1])
+    difference = float(tractor.rolls.mean[1] - implement.rolls.mean[1])
     if (
-        min(tractor.roll_weight, implement.roll_weight) >= LEAST_ROLL_POSES
+        min(tractor.rolls.weight, implement.rolls.weight) >= LEAST_ROLL_POSES
         and abs(difference) > LARGEST_ROLL_DIFFERENCE
     ):
         key = "receiver (roll)"
@@ -100,7 +99,7 @@ def found(state: MotionCheck) -> dict[str, str]:
 
 def roll_check_pending(state: MotionCheck) -> bool:
     """Whether rolls of both bodies are measured, but not yet for long enough to compare them."""
-    tractor, implement = (body.roll_weight for body in state.bodies)
+    tractor, implement = (body.rolls.weight for body in state.bodies)
     return min(tractor, implement) > 0.0 and min(tractor, implement) < LEAST_ROLL_POSES
 
 
@@ -148,19 +147,15 @@ def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
     if abs(speed) < CRUISE:
         return
     sample = np.array([speed * body_pose.yaw_rate, body_pose.roll, math.cos(psi), math.sin(psi)])
-    keep = 1.0 - 1.0 / ROLL_MEMORY
-    body.roll_weight = keep * body.roll_weight + 1.0
-    off = sample - body.mean
-    body.mean += off / body.roll_weight
-    body.moments = keep * body.moments + np.outer(off, sample - body.mean)
+    body.rolls.add(sample, ROLL_MEMORY)
 
 
 def _gradient(body: BodyMotion) -> float:
     """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0. What goes with the
     heading is the slope of the field, as a plane."""
-    if body.roll_weight < LEAST_ROLL_POSES:
+    if body.rolls.weight < LEAST_ROLL_POSES:
         return 0.0
-    moments = body.moments / body.roll_weight
+    moments = body.rolls.covariance
     by_heading = np.linalg.solve(moments[2:, 2:] + TURNED * np.eye(2), moments[2:, :2])
     left = moments[:2, :2] - moments[:2, 2:] @ by_heading
     acceleration_sd, roll_sd = np.sqrt(np.maximum(np.diag(left), 0.0))
