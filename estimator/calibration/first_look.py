@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.drive import MOUNTS, STEP_S, DriveGrid
 from tilth.estimator.calibration.least_squares import Solved, solve
-from tilth.estimator.rig.geometry import rotate, rotation
+from tilth.estimator.rig.geometry import length, rotate, rotation
 from tilth.estimator.rig.residuals import (
     CRUISE,
     gap_by_place,
@@ -131,9 +131,10 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> tuple[Array, Array]:
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         rows = view.known & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
         u = view.along[rows, body]
-        ahead = np.column_stack([np.cos(view.heading[rows, body]), np.sin(view.heading[rows, body])])
-        apart = ((drive.at[rows, front] - drive.at[rows, rear]) * ahead).sum(axis=1)
-        found = solve(np.column_stack([np.ones(len(u)), -u]), apart, np.array([30.0, 0.15]), NOISE_M)
+        north, east = (drive.at[rows, front] - drive.at[rows, rear]).T
+        found = solve(
+            np.column_stack([np.ones(len(u)), -u]), length((north, east)), np.array([30.0, 0.15]), NOISE_M
+        )
         sd = math.hypot(float(found.sds[1]), _slow_error(u))
         if sd < LATE_TOLD:
             late[front], late[rear], sds[body] = found.value[1] / 2, -found.value[1] / 2, sd

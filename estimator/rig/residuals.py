@@ -10,7 +10,7 @@ a number is too small by δ, −slope · δ is left over.
 | `hitch_gap` | the hitch as seen from either body, m | four levers, four latencies, c, d |
 | `sideways` | an axle's direction of travel, m/s | yaw of the pair, b or e, lever |
 | `wheel_off` | wheel angle against the path, rad | zero, gain, understeer |
-| `roll_off` | a measured roll, rad | zero, lean of the body |
+| `roll_slopes` | a measured roll, rad | zero, lean of the body |
 | `speed_off` | wheel-based against true speed, logarithm | the factor of both |
 
 A latency that is too small by τ leaves a point τ times its velocity behind.
@@ -191,17 +191,9 @@ def wheel_slopes(path: Array, lateral: Array) -> Array:
     return np.stack([np.ones_like(path), path, lateral], axis=-1)
 
 
-def roll_off(roll: X, slope: float | X, lateral: X, zero: float | X, lean: float | X) -> X:
-    """A measured roll less what ground and turn make, rad.
-
-    slope: of the ground across the body, rad. lateral: as for `wheel_off`. zero: of the sensor, rad. lean: of
-    the body on its tyres, rad per m/s^2.
-    """
-    return roll - (zero + slope + lean * lateral)
-
-
 def roll_slopes(lateral: Array) -> Array:
-    """(..., 2): of what `roll_off` takes away, over zero and lean."""
+    """(..., 2): of a measured roll, rad, over the zero of its sensor, rad, and over the lean of its body on
+    its tyres, rad per m/s^2. The slope of the ground comes on top. lateral: as for `wheel_off`."""
     return np.stack([np.ones_like(lateral), lateral], axis=-1)
 
 

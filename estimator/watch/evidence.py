@@ -20,6 +20,7 @@ from tilth.estimator.rig.residuals import (
     LATENCIES,
     PairSlopes,
     gap_by_place,
+    gap_slopes,
     hitch_shares,
     pair_slopes,
     path_angle,
@@ -125,13 +126,15 @@ def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:
     bodies = (now.tractor, now.implement)
     motion = [(body.forward_velocity, body.lateral_velocity, body.yaw_rate) for body in bodies]
     slopes = slopes_of(rig, np.array(motion), np.array([body.excess for body in bodies]))
-    by_place = gap_by_place(np.array(now.articulation), np.array(0.0))
-    design[2:4, HITCH : HITCH + 4] = by_place
+    articulation = np.array(now.articulation)
+    tractor, implement = (PairSlopes(*(slope[body] for slope in slopes)) for body in (0, 1))
+    of_gap = gap_slopes(tractor, implement, articulation, np.array(now.gap)).reshape(2, 2, -1)
+    design[2:4, HITCH : HITCH + 4] = gap_by_place(articulation, np.array(0.0))
     for body in (0, 1):
         late = slice(LATE + 2 * body, LATE + 2 * body + 2)
         design[body, LENGTH + body] = 1.0
         design[body, late] = -slopes.excess[body, LATENCIES]
-        design[2:4, late] = -by_place[:, 2 * body : 2 * body + 2] @ slopes.hitch[body][:, LATENCIES]
+        design[2:4, late] = -of_gap[:, body, LATENCIES]
 
 
 def slopes_of(rig: Lengths, motion: Array, excess: Array) -> PairSlopes:

@@ -143,7 +143,6 @@ VALUES: list[tuple[Callable[..., object], int]] = [
     (residuals.sideways, 3),
     (residuals.path_angle, 3),
     (residuals.wheel_off, 6),
-    (residuals.roll_off, 5),
     (wrap, 1),
     (lambda a, b, c, d, e, f, g, h: residuals.pair_of((a, b), (c, d), (e, f), (g, h)), 8),
     (lambda a, b, c, d, e, f, g, h, i, k: residuals.seen_hitch((a, b), (c, d), (e, f), (g, h), i, k), 10),
@@ -161,15 +160,12 @@ def test_many_are_as_one(value: Callable[..., object], count: int) -> None:
         assert many[(..., *k)] == pytest.approx(one, rel=1e-13, abs=1e-15)
 
 
-def test_slopes_of_one_sensor_are_those_of_differences() -> None:
+def test_slopes_of_the_wheel_angle_are_those_of_differences() -> None:
     rng = np.random.default_rng(3)
     path, lateral, zero, gain, under = rng.normal(0.0, 0.3, (5, RIGS))
     slopes = residuals.wheel_slopes(path, lateral)
     none = residuals.wheel_off(np.zeros(RIGS), path, lateral, zero, gain, under)
     assert none == pytest.approx(-np.einsum("nk,kn->n", slopes, np.stack([zero, gain, under])))
-    rolls = residuals.roll_slopes(lateral)
-    none = residuals.roll_off(np.zeros(RIGS), np.zeros(RIGS), lateral, zero, gain)
-    assert none == pytest.approx(-np.einsum("nk,kn->n", rolls, np.stack([zero, gain])))
 
 
 def test_slopes_of_an_axle_are_those_of_differences() -> None:
