@@ -49,7 +49,7 @@ CONSTANTS: Final[dict[str, tuple[float, float]]] = {
 NAMES: Final = tuple(CONSTANTS)
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 N: Final = len(NAMES)
-LENGTH, HITCH, LATE = AT["length_t"], AT["hitch_t_forward"], AT["late_tractor_front"]
+LENGTH, HITCH, DELAY = AT["length_t"], AT["hitch_t_forward"], AT["late_tractor_front"]
 CRAB, TURN, ROLL, ZERO = AT["crab_t"], AT["crab_per_turn_t"], AT["crab_per_roll_t"], AT["zero"]
 
 KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two crab angles, wheels
@@ -131,7 +131,7 @@ def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:
     of_gap = gap_slopes(tractor, implement, articulation, np.array(now.gap)).reshape(2, 2, -1)
     design[2:4, HITCH : HITCH + 4] = gap_by_place(articulation, np.array(0.0))
     for body in (0, 1):
-        late = slice(LATE + 2 * body, LATE + 2 * body + 2)
+        late = slice(DELAY + 2 * body, DELAY + 2 * body + 2)
         design[body, LENGTH + body] = 1.0
         design[body, late] = -slopes.excess[body, LATENCIES]
         design[2:4, late] = -of_gap[:, body, LATENCIES]
@@ -146,7 +146,7 @@ def slopes_of(rig: Lengths, motion: Array, excess: Array) -> PairSlopes:
 
 
 @dataclass(slots=True)
-class Evidence:
+class InformationForm:
     """Normal equations of the constants."""
 
     information: Array = field(default_factory=lambda: np.zeros((N, N)))  # in their units^-2
