@@ -56,8 +56,18 @@ def rotate(vector: tuple[X, X], heading: X) -> tuple[X, X]:
 
 def rotation(heading: Array) -> Array:
     """`rotate` as a matrix, (..., 2, 2), of headings (...)."""
-    c, s = np.cos(heading), np.sin(heading)
-    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    out = np.empty((*heading.shape, 2, 2))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(heading)
+    out[..., 1, 0] = np.sin(heading)
+    out[..., 0, 1] = -out[..., 1, 0]
+    return out
+
+
+def turned(vector: Array) -> Array:
+    """By a quarter to the right, (..., 2): (forward, right) -> (−right, forward)."""
+    out = np.empty_like(vector)
+    out[..., 0], out[..., 1] = -vector[..., 1], vector[..., 0]
+    return out
 
 
 def wrap(angle: X) -> X:

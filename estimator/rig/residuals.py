@@ -22,7 +22,17 @@ from typing import Final, Generic, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.rig.geometry import X, arctangent, between, direction, length, middle, rotate, rotation
+from tilth.estimator.rig.geometry import (
+    X,
+    arctangent,
+    between,
+    direction,
+    length,
+    middle,
+    rotate,
+    rotation,
+    turned,
+)
 
 Array = NDArray[np.float64]
 
@@ -100,31 +110,27 @@ def pair_slopes(levers: Array, place: Array, velocity: Array, excess: Array) -> 
     (..., 2, 2), of front and rear antenna, forward and right in the axes of the body, m/s. excess: (...), m.
     """
     arm = levers[..., 0, :] - levers[..., 1, :]
-    span = np.linalg.norm(arm, axis=-1, keepdims=True)
-    along, across = arm / span, _turned(arm) / span  # unit vectors of the baseline
-    turn = across / span  # of the heading, where the front antenna is really there
-    measured = span + excess[..., None]
-    shape = (*np.broadcast_shapes(along.shape[:-1], velocity.shape[:-2], np.shape(place), excess.shape), 7)
-    of_excess, of_heading = np.zeros(shape), np.zeros(shape)
-    of_excess[..., 0:2], of_excess[..., 2:4] = -along, along
-    of_heading[..., 0:2], of_heading[..., 2:4] = -turn, turn
-    of_hitch = np.zeros((*shape[:-1], 2, 7))
-    for k, sign in ((0, 1.0), (1, -1.0)):
-        moved = velocity[..., k, :]
-        of_excess[..., 4 + k] = sign * (along * moved).sum(axis=-1)
-        of_heading[..., 4 + k] = sign * (across * moved).sum(axis=-1) / measured[..., 0]
-        of_hitch[..., 4 + k] = moved / 2
-        of_hitch[..., 2 * k : 2 * k + 2] = -np.eye(2) / 2
-    of_hitch[..., 0, HITCH] = 1.0
-    out = -levers.mean(axis=-2)
+    square = (arm * arm).sum(axis=-1, keepdims=True)
+    span = np.sqrt(square)
+    along, across = arm / span, turned(arm) / span  # unit vectors of the baseline
+    by_points = np.concatenate([along, -along], axis=-1)  # of the excess, over both points
+    turn = np.concatenate([across, -across], axis=-1)  # of the heading, times the distance of the points
+    moved = velocity.reshape(*velocity.shape[:-2], 4)
+    out = -(levers[..., 0, :] + levers[..., 1, :]) / 2  # from the middle of the pair to the hitch
     out[..., 0] += place
-    of_hitch += _turned(out)[..., None] * of_heading[..., None, :]
+    shape = (*np.broadcast(along[..., 0], moved[..., 0], excess).shape, 7)
+    of_excess, of_heading, of_hitch = np.zeros(shape), np.zeros(shape), np.zeros((*shape[:-1], 2, 7))
+    of_excess[..., LEVERS] = -by_points
+    of_heading[..., LEVERS] = -turn / span
+    products = by_points * moved, turn * moved / (span + excess[..., None])
+    for k in (0, 1):
+        of_excess[..., 4 + k] = products[0][..., 2 * k] + products[0][..., 2 * k + 1]
+        of_heading[..., 4 + k] = products[1][..., 2 * k] + products[1][..., 2 * k + 1]
+        of_hitch[..., 4 + k] = velocity[..., k, :] / 2
+        of_hitch[..., 0, 2 * k] = of_hitch[..., 1, 2 * k + 1] = -0.5
+    of_hitch[..., 0, HITCH] = 1.0
+    of_hitch += turned(out)[..., None] * of_heading[..., None, :]
     return PairSlopes(of_excess, of_heading, of_hitch)
-
-
-def _turned(vector: Array) -> Array:
-    """By a quarter to the right: (forward, right) -> (−right, forward)."""
-    return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
 def pair_turn(levers: Array) -> Array:
@@ -132,7 +138,7 @@ def pair_turn(levers: Array) -> Array:
 
     levers: as for `pair_slopes`.
     """
-    half = _turned(levers[..., 0, :] - levers[..., 1, :]) / 2
+    half = turned(levers[..., 0, :] - levers[..., 1, :]) / 2
     return np.concatenate([half, -half], axis=-1)
 
 
@@ -146,15 +152,14 @@ def gap_by_place(tractor: Array, implement: Array) -> Array:
     return np.concatenate([rotation(tractor), -rotation(implement)], axis=-1)
 
 
-def gap_slopes(tractor: PairSlopes, implement: PairSlopes, articulation: Array, gap: Array) -> Array:
+def gap_slopes(tractor: PairSlopes, implement: PairSlopes, by_place: Array, gap: Array) -> Array:
     """(..., 2, 14): of `hitch_gap`, over PAIR_NUMBERS of the tractor and then of the implement.
 
-    articulation: rad, (...), the tractor's heading minus the implement's. gap: (..., 2), m.
+    by_place: of `gap_by_place`, in the axes of the implement. gap: (..., 2), m.
     """
-    by_place = gap_by_place(articulation, np.zeros_like(articulation))
     of_tractor = by_place[..., 0:2] @ tractor.hitch
     of_implement = by_place[..., 2:4] @ implement.hitch
-    of_implement -= _turned(gap)[..., None] * implement.heading[..., None, :]  # the axes turn
+    of_implement -= turned(gap)[..., None] * implement.heading[..., None, :]  # the axes turn
     return np.concatenate([of_tractor, of_implement], axis=-1)
 
 

@@ -126,10 +126,10 @@ def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:
     bodies = (now.tractor, now.implement)
     motion = [(body.forward_velocity, body.lateral_velocity, body.yaw_rate) for body in bodies]
     slopes = slopes_of(rig, np.array(motion), np.array([body.excess for body in bodies]))
-    articulation = np.array(now.articulation)
+    by_place = gap_by_place(np.array(now.articulation), np.array(0.0))
     tractor, implement = (PairSlopes(*(slope[body] for slope in slopes)) for body in (0, 1))
-    of_gap = gap_slopes(tractor, implement, articulation, np.array(now.gap)).reshape(2, 2, -1)
-    design[2:4, HITCH : HITCH + 4] = gap_by_place(articulation, np.array(0.0))
+    of_gap = gap_slopes(tractor, implement, by_place, np.array(now.gap)).reshape(2, 2, -1)
+    design[2:4, HITCH : HITCH + 4] = by_place
     for body in (0, 1):
         late = slice(DELAY + 2 * body, DELAY + 2 * body + 2)
         design[body, LENGTH + body] = 1.0

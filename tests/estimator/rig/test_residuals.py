@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tilth.estimator.rig import residuals
-from tilth.estimator.rig.geometry import lever, rotate, wrap
+from tilth.estimator.rig.geometry import rotate
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,8 @@ def test_slopes_of_length_and_gap_are_those_of_differences() -> None:
         own = expected[:, body, 7 * body : 7 * body + 7]
         assert found.excess == pytest.approx(own, abs=1e-6)
     articulation = pairs[0].heading - pairs[1].heading
-    of_gap = residuals.gap_slopes(slopes[0], slopes[1], articulation, gap)
+    by_place = residuals.gap_by_place(articulation, np.zeros(RIGS))
+    of_gap = residuals.gap_slopes(slopes[0], slopes[1], by_place, gap)
     assert of_gap == pytest.approx(expected[:, 2:], abs=1e-6)
 
 
@@ -143,7 +144,6 @@ VALUES: list[tuple[Callable[..., object], int]] = [
     (residuals.sideways, 3),
     (residuals.path_angle, 3),
     (residuals.wheel_off, 6),
-    (wrap, 1),
     (lambda a, b, c, d, e, f, g, h: residuals.pair_of((a, b), (c, d), (e, f), (g, h)), 8),
     (lambda a, b, c, d, e, f, g, h, i, k: residuals.seen_hitch((a, b), (c, d), (e, f), (g, h), i, k), 10),
     (lambda a, b, c, d, e: residuals.hitch_gap((a, b), (c, d), e), 5),
@@ -186,12 +186,3 @@ def test_wheels_that_are_known_to_turn_faster_leave_nothing_over() -> None:
     assert residuals.speed_off(2.06, 2.0, 1.03) == pytest.approx(0.0, abs=1e-12)
     near = (residuals.speed_off(2.0, 2.0, 1.03 + STEP) - residuals.speed_off(2.0, 2.0, 1.03 - STEP)) / 2e-6
     assert near == pytest.approx(-1.0 / 1.03)
-
-
-def test_a_lever_leans_with_its_body() -> None:
-    assert lever((1.0, 0.5, 3.0), 1.0, False, 0.0, 0.0) == (1.0, 0.5)
-    forward, right = lever((1.0, 0.5, 3.0), 1.0, False, 0.1, 0.0)
-    assert forward == 1.0 and right == pytest.approx(0.5 * math.cos(0.1) + 2.0 * math.sin(0.1))
-    assert lever((1.0, 0.5, 3.0), 1.0, True, 0.1, 0.0)[1] == pytest.approx(
-        0.5 * math.cos(0.1) - math.sin(0.1)
-    )
