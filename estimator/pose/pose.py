@@ -26,8 +26,8 @@ from tilth.estimator.pose.aligner import (
 )
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
-from tilth.estimator.rig.geometry import Vector, lever, rotate, wrap
-from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap, sideways
+from tilth.estimator.rig.geometry import Vector, lever, wrap
+from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap, pair_of, sideways
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
@@ -279,15 +279,16 @@ def _heading_by_hitch(
     hitch_here, hitch_there = (-c, d) if body.index == 0 else (d, -c)
     if other.heading is None:
         return None
-    cg, sd_cg = cg_position(list(other.antennas.values()), other.heading, other.sd_heading)
-    arm = rotate((hitch_there, 0.0), other.heading)
-    north, east = cg[0] + arm[0] - antenna.at[0], cg[1] + arm[1] - antenna.at[1]
-    forward, right = hitch_here - antenna.lever[0], -antenna.lever[1]
-    length = math.hypot(forward, right)
-    if length < 0.5:
+    front, rear = other.antennas.values()
+    _, sd_cg = cg_position([front, rear], other.heading, other.sd_heading)
+    seen = pair_of(
+        hitch(front, rear, other.heading, hitch_there), antenna.at, (hitch_here, 0.0), antenna.lever
+    )
+    reach = math.dist((hitch_here, 0.0), antenna.lever)
+    if reach < 0.5:
         return None  # the antenna is at the hitch: there is no direction
-    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(hitch_there) * other.sd_heading) ** 2) / length
-    return wrap(math.atan2(east, north) - math.atan2(right, forward)), sd
+    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(hitch_there) * other.sd_heading) ** 2) / reach
+    return wrap(seen.heading), sd
 
 
 def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:

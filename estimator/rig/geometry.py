@@ -16,26 +16,36 @@ Vector = tuple[float, float]
 
 
 def cosine(angle: X) -> X:
-    return math.cos(angle) if isinstance(angle, float) else np.cos(angle)
+    if isinstance(angle, float):
+        return math.cos(angle)
+    return np.cos(angle)
 
 
 def sine(angle: X) -> X:
-    return math.sin(angle) if isinstance(angle, float) else np.sin(angle)
+    if isinstance(angle, float):
+        return math.sin(angle)
+    return np.sin(angle)
 
 
 def arctangent(ratio: X) -> X:
-    return math.atan(ratio) if isinstance(ratio, float) else np.arctan(ratio)
+    if isinstance(ratio, float):
+        return math.atan(ratio)
+    return np.arctan(ratio)
 
 
 def direction(vector: tuple[X, X]) -> X:
     """Of a vector (north, east), or (forward, right): rad, clockwise from its first axis."""
     ahead, right = vector
-    return math.atan2(right, ahead) if isinstance(ahead, float) else np.arctan2(right, ahead)
+    if isinstance(ahead, float):
+        return math.atan2(right, ahead)
+    return np.arctan2(right, ahead)
 
 
 def length(vector: tuple[X, X]) -> X:
     ahead, right = vector
-    return math.hypot(ahead, right) if isinstance(ahead, float) else np.hypot(ahead, right)
+    if isinstance(ahead, float):
+        return math.hypot(ahead, right)
+    return np.hypot(ahead, right)
 
 
 def between(one: tuple[X, X], other: tuple[X, X]) -> tuple[X, X]:
