@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.turn_rate_lag import Lag, regress, time_constant, update_verdict
+from tilth.estimator.rig.geometry import wrap
 from tilth.schemas.flow import Message, Origin
 from tilth.schemas.spread import plus_minus
 

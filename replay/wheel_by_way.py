@@ -17,6 +17,7 @@ from tilth.estimator.calibration.calibrate import TractorMotion
 from tilth.estimator.calibration.faults import EXPLAINED
 from tilth.estimator.calibration.initial_guess import MOVING, SLOW
 from tilth.estimator.calibration.least_squares import solve
+from tilth.estimator.rig.residuals import path_angle, wheel_slopes
 from tilth.replay.wheel_search import FEWEST_SAMPLES, SLOWEST_HZ, Words, may_hold_it, with_sign, words_of
 from tilth.schemas.can_id import split
 from tilth.schemas.fields import DEG
@@ -210,7 +211,7 @@ class _Fitted(NamedTuple):
 def _fitted(times_ns: Words, values: Words, motion: TractorMotion) -> _Fitted | None:
     """None where the word hardly goes with the way, or too little was driven."""
     u, r = motion.speed, motion.yaw_rate
-    path = np.arctan(motion.wheelbase * r / np.where(u > MOVING, u, 1.0))
+    path = path_angle(motion.wheelbase, np.where(u > MOVING, u, 1.0), r)
     known = (u > MOVING) & np.isfinite(r) & np.isfinite(u)
     known &= (motion.t_ns > times_ns[0] + 2e9) & (motion.t_ns < times_ns[-1] - 2e9)
     slow, fast = known & (u < SLOW), known & (u >= SLOW)
@@ -226,7 +227,7 @@ def _fitted(times_ns: Words, values: Words, motion: TractorMotion) -> _Fitted | 
     if np.std(usual[slow]) == 0.0 or abs(np.corrcoef(usual[slow], path[slow])[0, 1]) < LIKELY:
         return None
     size, shift = float(np.std(usual[slow]) / np.std(path[slow])), float(np.median(usual[slow]))
-    design = np.column_stack([np.ones(len(u)), path, u * r])
+    design = wheel_slopes(path, u * r)
     lead, longer = _lead(design[slow], lambda at: word(at)[slow]), None
     reading = (word(lead) - shift) / size
     told = solve(design[slow], reading[slow], PRIORS, 1e-4)

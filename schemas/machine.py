@@ -88,6 +88,11 @@ class Tractor(_Section):
         description="wheel-based speed (PGN 65096) over ground speed at no slip; other tyres change it",
     )
 
+    @property
+    def wheelbase(self) -> float:
+        """m."""
+        return self.a.value + self.b.value
+
     @model_validator(mode="after")
     def _turning_forwards(self) -> Self:
         factor = self.wheel_speed_factor

@@ -83,7 +83,7 @@ def _rig(machine: Machine) -> Iterator[Doubt]:
     tractor, implement = machine.tractor, machine.implement
     if not _possible("tractor", tractor, "abc") or not _possible("implement", implement, "de"):
         return
-    wheelbase, towed = tractor.a.value + tractor.b.value, implement.d.value + implement.e.value
+    wheelbase, towed = tractor.wheelbase, implement.d.value + implement.e.value
     if towed < SHORTEST:
         yield Doubt(
             f"implement.e = {implement.e.value:g} m: its axle would stand at the hitch or ahead of it", True

@@ -179,7 +179,7 @@ def ackermann_of(machine: Machine) -> float:
     """w / 2L of the kingpin that carries the sensor, as WheelAngleSensor.ackermann."""
     side = {"mean": 0, "left": 1, "right": -1}[machine.wheel_angle.kingpin]
     distance = machine.tractor.kingpin_distance or 0.0
-    return side * distance / (2.0 * (machine.tractor.a.value + machine.tractor.b.value))
+    return side * distance / (2.0 * machine.tractor.wheelbase)
 
 
 def _bits(big_endian: bool, first: int, bits: int, signed: bool) -> Bits:

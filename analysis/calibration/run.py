@@ -204,7 +204,7 @@ def steering(heard: LogHeard, told: Machine, changes: Changes) -> SteeringRespon
     angles = [one for one in heard.measurements if isinstance(one, WheelAngle)]
     t = np.array([(one.rx_ns - heard.first_ns) * 1e-9 for one in angles])
     wheel = np.array([wheel_after(one.angle, changes) for one in angles])
-    orders = heard.commands.orders(told.tractor.a.value + told.tractor.b.value, heard.first_ns)
+    orders = heard.commands.orders(told.tractor.wheelbase, heard.first_ns)
     return respond(orders, t, wheel, told.wheel_angle.delay)
 
 

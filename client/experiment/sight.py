@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.models.planned_run import room
-from tilth.estimator.pose.geometry import rotate, to_degrees, to_plane
+from tilth.estimator.pose.geometry import to_degrees, to_plane
+from tilth.estimator.rig.geometry import rotate
 from tilth.schemas.experiment import DrivingLimits, Rectangle
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 from tilth.schemas.notices import Notice, NoticeCode, notice

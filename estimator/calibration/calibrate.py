@@ -16,7 +16,6 @@ from tilth.estimator.calibration import faults as finding
 from tilth.estimator.calibration import initial_guess, joint, linkage, priors
 from tilth.estimator.calibration.assignment import assign
 from tilth.estimator.calibration.changes import (
-    BODY,
     Changes,
     applied,
     further_wheel,
@@ -146,7 +145,7 @@ def tractor_motion(machine: Machine, measurements: Sequence[Measurement]) -> Tra
     changes = Changes(assignment=assign(drive, machine).assignment)
     view = _view(applied(machine, changes), _placed(drive, changes), changes, None)
     t_ns = (heard.first_ns or 0) + np.round(drive.t * 1e9).astype(np.int64)
-    base = machine.tractor.a.value + machine.tractor.b.value
+    base = machine.tractor.wheelbase
     return TractorMotion(t_ns, view.along[:, 0], view.rate[:, 0], base)
 
 
@@ -253,7 +252,7 @@ def _initial_guess(
     changes = _geometry(machine, placed, changes, found_rolls)
     check_lengths(changes.longer)
     view = _view(applied(machine, changes), placed, changes, found_rolls)
-    base = machine.tractor.a.value + machine.tractor.b.value
+    base = machine.tractor.wheelbase
     told, share = initial_guess.wheel_by_the_way(view, base, view.rate[:, 0])
     wheel_faults = finding.wheel_faults(told, share)
     faults += wheel_faults
@@ -301,8 +300,7 @@ def _geometry(machine: Machine, placed: DriveGrid, changes: Changes, found: Roll
         now = applied(machine, changes)
         view = _view(now, placed, changes, found)
         crabs = [initial_guess.crab(view, body) for body in range(2)]
-        lengths = np.array([_length(now, body) for body in range(2)])
-        longer = np.nan_to_num(np.nanmedian(view.lengths[view.known], axis=0) - lengths)
+        longer = np.nan_to_num(np.nanmedian(view.longer[view.known], axis=0))
         axle = np.array([now.tractor.b.value, now.implement.e.value])
         ahead = np.array([crab.value[1] for crab in crabs]) - axle - _middles(now)[:, 0]
         ahead = np.where([crab.sds[1] < 0.15 for crab in crabs], ahead, 0.0)
@@ -336,11 +334,6 @@ def _by_the_hitch(
     if placed:
         return replace(changes, lateral_offset=changes.lateral_offset + right)
     return replace(changes, lateral_offset=changes.lateral_offset + right[0])
-
-
-def _length(machine: Machine, body: int) -> float:
-    pair = [r.position[:2] for r in machine.receiver if BODY[MOUNTS.index(r.mount)] == body]
-    return math.dist(*pair)
 
 
 def _centred(now: Machine, mean: Array, sd: Array, moved: dict[str, float]) -> tuple[Array, Array]:

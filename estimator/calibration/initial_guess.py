@@ -14,13 +14,21 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.drive import MOUNTS, STEP_S, DriveGrid
 from tilth.estimator.calibration.least_squares import Solved, solve
+from tilth.estimator.rig.geometry import length, rotate, rotation
+from tilth.estimator.rig.residuals import (
+    CRUISE,
+    gap_by_place,
+    pair_of,
+    path_angle,
+    sideways_slopes,
+    wheel_slopes,
+)
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STRAIGHT: Final = 0.012  # rad/s
-CRUISE: Final = 1.5  # m/s
 FOLDED: Final = math.radians(20.0)  # articulation: less hardly tells hitch and drawbar apart
 WEAVING: Final = 0.05  # rad/s: more than corrections along a row
 MOVING: Final = 0.8  # m/s
@@ -51,7 +59,7 @@ class Pairs:
     along: Array  # m/s, of the middles, (n, 2)
     across: Array  # m/s, to the right, (n, 2)
     rate: Array  # rad/s, of the headings, (n, 2)
-    lengths: Array  # m, of the pairs, (n, 2)
+    longer: Array  # m, of the pairs than by the places of the file, (n, 2)
     wheel: Array  # rad, (n,)
     gyro: Array  # rad/s, (n, 4)
 
@@ -68,27 +76,24 @@ def seen(drive: DriveGrid, machine: Machine, roll: Array, delay: Array) -> Pairs
     at = drive.at + drive.velocity * delay[:, None]
     moving = _later(drive, delay)
     heading, middle = np.full((len(drive.t), 2), np.nan), np.full((len(drive.t), 2, 2), np.nan)
-    along, across, lengths = (np.full((len(drive.t), 2), np.nan) for _ in range(3))
+    along, across, longer = (np.full((len(drive.t), 2), np.nan) for _ in range(3))
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         pair = [by_mount[MOUNTS[k]] for k in (front, rear)]
-        arm = np.subtract(pair[0].position[:2], pair[1].position[:2])
-        apart = at[:, front] - at[:, rear]
-        lengths[:, body] = np.hypot(apart[:, 0], apart[:, 1])
-        psi = np.arctan2(apart[:, 1], apart[:, 0]) - np.arctan2(arm[1], arm[0])
+        arms = [np.array(receiver.position) for receiver in pair]
+        seen = pair_of(
+            *((at[:, k, 0], at[:, k, 1]) for k in (front, rear)), *((arm[0], arm[1]) for arm in arms)
+        )
+        longer[:, body], psi = seen.excess, seen.heading
         good = np.isfinite(psi)
         psi[good] = np.unwrap(psi[good])
         heading[:, body] = psi
-        ahead = np.column_stack([np.cos(psi), np.sin(psi)])
-        right = np.column_stack([-np.sin(psi), np.cos(psi)])
+        ahead, right = np.moveaxis(rotation(psi), 2, 0)
         heights = [0.0 if r.roll_corrected else r.position[2] for r in pair]
         lean, back = (float(np.mean(heights)) * np.sin(tilt[:, body]) for tilt in (roll, pitch))
         middle[:, body] = at[:, [front, rear]].mean(axis=1) - lean[:, None] * right + back[:, None] * ahead
         velocity = moving[:, [front, rear]].mean(axis=1)
-        along[:, body] = velocity[:, 0] * np.cos(psi) + velocity[:, 1] * np.sin(psi)
-        across[:, body] = (velocity * right).sum(axis=1)
-    return Pairs(
-        drive.t, heading, middle, along, across, _rate(heading), lengths, drive.wheel, drive.yaw_rate
-    )
+        along[:, body], across[:, body] = rotate((velocity[:, 0], velocity[:, 1]), -psi)
+    return Pairs(drive.t, heading, middle, along, across, _rate(heading), longer, drive.wheel, drive.yaw_rate)
 
 
 def mean_of_known(angles: Array) -> Array:
@@ -126,9 +131,10 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> tuple[Array, Array]:
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         rows = view.known & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
         u = view.along[rows, body]
-        ahead = np.column_stack([np.cos(view.heading[rows, body]), np.sin(view.heading[rows, body])])
-        apart = ((drive.at[rows, front] - drive.at[rows, rear]) * ahead).sum(axis=1)
-        found = solve(np.column_stack([np.ones(len(u)), -u]), apart, np.array([30.0, 0.15]), NOISE_M)
+        north, east = (drive.at[rows, front] - drive.at[rows, rear]).T
+        found = solve(
+            np.column_stack([np.ones(len(u)), -u]), length((north, east)), np.array([30.0, 0.15]), NOISE_M
+        )
         sd = math.hypot(float(found.sds[1]), _slow_error(u))
         if sd < IDENTIFIED_DELAY_SD:
             delay[front], delay[rear], sds[body] = found.value[1] / 2, -found.value[1] / 2, sd
@@ -149,12 +155,9 @@ def hitch(view: Pairs) -> Solved:
     rows = rows & np.isfinite(view.middle).all((1, 2))
     apart = view.middle[rows, 1] - view.middle[rows, 0]
     psi, u = view.heading[rows], view.along[rows, 1]
-    blocks = []
-    for axis in range(2):
-        forward, right = (np.cos, np.sin)[axis], (lambda a: -np.sin(a), np.cos)[axis]
-        columns = [forward(psi[:, 0]), right(psi[:, 0]), -forward(psi[:, 1]), -right(psi[:, 1])]
-        blocks.append(np.column_stack([*columns, -u * forward(psi[:, 1])]))
-    design = np.stack(blocks, axis=1).reshape(-1, 5)
+    by_place = gap_by_place(psi[:, 0], psi[:, 1])
+    delay = u[:, None] * by_place[:, :, 2]  # so far behind are the implement's points
+    design = np.concatenate([by_place, delay[:, :, None]], axis=2).reshape(-1, 5)
     found = solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
     further = np.diag([0.0, 0.0, 0.0, 0.0, _slow_error(u) ** 2])
     return found._replace(covariance=found.covariance + further)
@@ -166,7 +169,8 @@ def crab(view: Pairs, body: int) -> Solved:
     rows = view.known & (view.along[:, body] > MOVING) & np.isfinite(view.rate[:, body])
     u, r = view.along[rows, body], view.rate[rows, body]
     psi = view.heading[rows, body]
-    columns = [-u, r, -u * u * r, u * np.cos(psi), u * np.sin(psi)]
+    slopes = sideways_slopes(u, r)
+    columns = [-slopes[:, 0], slopes[:, 1], -u * u * r, u * np.cos(psi), u * np.sin(psi)]
     prior = np.array([0.2, 3.0, 0.03, 0.02, 0.02])
     return solve(np.column_stack(columns), view.across[rows, body], prior, 0.02)
 
@@ -176,10 +180,20 @@ def wheel(view: Pairs, wheelbase: float, rate: Array) -> Solved:
 
     rate: rad/s, (n,), the tractor's. tan(true angle) = wheelbase r / u, and more where tyres slip.
     """
-    rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
+    rows = _steered(view, rate)
+    return solve(_of_wheel(view, wheelbase, rate, rows), view.wheel[rows], np.array([0.5, 20.0, 0.05]), 0.002)
+
+
+def _steered(view: Pairs, rate: Array) -> Mask:
+    """(n,): where the wheel angle can be compared with the path."""
+    known = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
+    return np.asarray(known)
+
+
+def _of_wheel(view: Pairs, wheelbase: float, rate: Array, rows: Mask) -> Array:
+    """Slopes of the wheel angle over what `wheel` finds."""
     u, r = view.along[rows, 0], rate[rows]
-    design = np.column_stack([np.ones(len(u)), np.arctan(wheelbase * r / u), r * u])
-    return solve(design, view.wheel[rows], np.array([0.5, 20.0, 0.05]), 0.002)
+    return wheel_slopes(path_angle(wheelbase, u, r), r * u)
 
 
 def wheel_by_the_way(view: Pairs, wheelbase: float, rate: Array) -> tuple[Solved, float]:
@@ -201,7 +215,7 @@ def explained(view: Pairs, wheelbase: float, rate: Array, found: Solved) -> floa
     only noise varies. Then in all driving, unless the reading jumps as one in the wrong byte order does: few
     angles go with the way by chance.
     """
-    rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
+    rows = _steered(view, rate)
     slow = rows & (view.along[:, 0] < SLOW)
     still = np.std(view.wheel[slow]) < HARDLY * np.std(view.wheel[rows]) if slow.any() else True
     jumps = _jumps(view.wheel[rows]) > JUMPS * abs(float(found.value[1]))
@@ -209,9 +223,7 @@ def explained(view: Pairs, wheelbase: float, rate: Array, found: Solved) -> floa
         rows = slow
     if np.count_nonzero(rows) < 50:
         return 0.0
-    u, r = view.along[rows, 0], rate[rows]
-    design = np.column_stack([np.ones(len(u)), np.arctan(wheelbase * r / u), r * u])
-    left = view.wheel[rows] - design @ found.value
+    left = view.wheel[rows] - _of_wheel(view, wheelbase, rate, rows) @ found.value
     return 1.0 - float(np.var(left)) / max(float(np.var(view.wheel[rows])), 1e-12)
 
 

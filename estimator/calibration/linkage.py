@@ -16,6 +16,7 @@ from tilth.estimator.calibration.drive import STEP_S
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.initial_guess import MOVING, SLOW, Pairs
 from tilth.estimator.calibration.least_squares import solve
+from tilth.estimator.rig.residuals import path_angle, wheel_slopes
 from tilth.schemas.machine import Machine
 from tilth.schemas.wheel_angle import linkage_reading
 
@@ -48,13 +49,13 @@ def find(
     middle from its
     middle line, after the changes, and its sd, m: it makes one side slower than the other."""
     own = changes.linkage_before
-    base = machine.tractor.a.value + machine.tractor.b.value
+    base = machine.tractor.wheelbase
     u = view.along[:, 0] + view.rate[:, 0] * lateral_offset[0]
     rows = _steady(view) & (u > MOVING) & (u < SLOW) & np.isfinite(view.wheel)
     if np.count_nonzero(rows) < FEWEST:
         return LinkageFound(own, CURVE_SD)
     u, r = u[rows], view.rate[rows, 0]
-    angle = np.arctan(base * r / u)
+    angle = path_angle(base, u, r)
     read = [changes.wheel_sign * linkage_reading(a, own.curve, own.ackermann) for a in view.wheel[rows]]
     if min(np.count_nonzero(angle > SMALLEST), np.count_nonzero(angle < -SMALLEST)) < FEWEST:
         return LinkageFound(own, CURVE_SD)
@@ -81,7 +82,7 @@ def _curve(
     curve, zero, gain, sd = 0.0, 0.0, 1.0, LOOSE
     for _ in range(3):  # what a^2 leaves out of the inverse is put back
         bent = np.array([linkage_reading(a, curve, 0.0) for a in own])
-        design = np.column_stack([np.ones(len(own)), bent, pull, -(bent**2)])
+        design = np.column_stack([wheel_slopes(bent, pull), -(bent**2)])
         told = solve(design, read, np.array([*PRIORS, LOOSE]), 0.002)
         zero, gain = float(told.value[0]), float(told.value[1])
         per = max(abs(gain), 1e-6)

@@ -14,6 +14,7 @@ from tilth.estimator.calibration.changes import BODY
 from tilth.estimator.calibration.drive import DriveGrid
 from tilth.estimator.calibration.initial_guess import Pairs
 from tilth.estimator.calibration.least_squares import solve
+from tilth.estimator.rig.residuals import roll_slopes
 
 Array = NDArray[np.float64]
 
@@ -80,8 +81,7 @@ def _fit(
         psi, cell = view.heading[here, body], cells[here, body].astype(np.int64)
         design = np.zeros((len(here), len(prior)))
         right = -np.sin(psi), np.cos(psi)
-        design[:, k] = 1.0
-        design[:, 4 + body] = view.along[here, body] * view.rate[here, body]
+        design[:, [k, 4 + body]] = roll_slopes(view.along[here, body] * view.rate[here, body])
         for axis in range(2):
             design[:, 6 + axis] = right[axis]
             design[np.arange(len(here)), 8 + 2 * cell + axis] = right[axis]

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration import receivers
-from tilth.estimator.calibration.initial_guess import CRUISE, FOLDED, MOVING, SLOW, STRAIGHT
+from tilth.estimator.calibration.initial_guess import FOLDED, MOVING, SLOW, STRAIGHT
 from tilth.estimator.calibration.receivers import STANDING, HeardReceivers
 from tilth.estimator.pose.geometry import to_plane
+from tilth.estimator.rig.geometry import between, direction, wrap
+from tilth.estimator.rig.residuals import CRUISE, path_angle
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
@@ -88,7 +90,7 @@ class StageFold:
 
 def initial(machine: Machine) -> StageFold:
     """Of the file only the wheelbase is used."""
-    return StageFold(machine.tractor.a.value + machine.tractor.b.value)
+    return StageFold(machine.tractor.wheelbase)
 
 
 def take_all(state: StageFold, measurements: Iterable[Measurement]) -> StageFold:
@@ -166,7 +168,7 @@ def _count_seen(state: StageFold, now: SeenNow) -> None:
     if len(state.window) < WINDOW:
         return
     rate, course = _turning(state.window)
-    state.angles.append(math.atan2(state.wheelbase * rate, speed))
+    state.angles.append(path_angle(state.wheelbase, speed, rate))
     if speed > CRUISE and abs(rate) < STRAIGHT:
         state.tally.straight[int(course / math.tau * DIRECTIONS) % DIRECTIONS] += speed * TICK_S
         state.doing = "straight"
@@ -209,7 +211,7 @@ def _seen(state: StageFold) -> SeenNow:
     at = [to_plane(state.origin_deg, *state.places[mount][1:]) for mount in MOUNTS]
     front, rear = (state.velocities[mount][1:] for mount in MOUNTS[:2])
     velocity = ((front[0] + rear[0]) / 2, (front[1] + rear[1]) / 2)
-    lines = [math.atan2(at[k][1] - at[k + 1][1], at[k][0] - at[k + 1][0]) for k in (0, 2)]
+    lines = [direction(between(at[k], at[k + 1])) for k in (0, 2)]
     turned = (lines[0] - lines[1] + math.pi / 2) % math.pi - math.pi / 2  # whichever is in front
     return SeenNow(state.tick, velocity, turned)
 
@@ -220,9 +222,11 @@ def _turning(window: Iterable[SeenNow]) -> tuple[float, float]:
     half = WINDOW // 2
     courses, middles = [], []
     for part in (rows[:half], rows[half:]):
-        courses.append(math.atan2(sum(row.velocity[1] for row in part), sum(row.velocity[0] for row in part)))
+        courses.append(
+            direction((sum(row.velocity[0] for row in part), sum(row.velocity[1] for row in part)))
+        )
         middles.append(sum(row.tick for row in part) / half)
-    apart = (courses[1] - courses[0] + math.pi) % math.tau - math.pi
+    apart = wrap(courses[1] - courses[0])
     return apart / ((middles[1] - middles[0]) * TICK_S), courses[1] % math.tau
 
 

@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from tilth.estimator.models.relaxation import input_matrix, system_matrix
 from tilth.estimator.models.steady_turn import steady_turn
 from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record
+from tilth.estimator.rig.geometry import wrap
+from tilth.estimator.rig.residuals import pair_of
 from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code
 
@@ -176,15 +178,14 @@ def _yaw_rate(rows: Array, body: int, at: NDArray[np.int64]) -> Array | None:
 def _heading(rows: Array, body: int, at: NDArray[np.int64], levers: Array, near: Array) -> Array | None:
     """Heading of a body, rad, not wrapped. near: an approximate one at the same ticks, rad."""
     pair = (2 * body, 2 * body + 1)
-    arm = levers[pair[0]] - levers[pair[1]]
-    apart = []
-    for kind in (NORTH, EAST):
-        front, rear = (_series(rows, kind, place, at) for place in pair)
-        if front is None or rear is None:
+    points = []
+    for place in pair:
+        north, east = (_series(rows, kind, place, at) for kind in (NORTH, EAST))
+        if north is None or east is None:
             return _series(rows, HEADING, body, at)
-        apart.append(front - rear)
-    angle = np.arctan2(apart[1], apart[0]) - math.atan2(arm[1], arm[0])
-    return np.asarray(near + (angle - near + np.pi) % (2 * np.pi) - np.pi)
+        points.append((north, east))
+    front, rear = ((levers[place][0], levers[place][1]) for place in pair)
+    return np.asarray(near + wrap(pair_of(points[0], points[1], front, rear).heading - near))
 
 
 def _steady_indices(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:

@@ -38,14 +38,15 @@ from tilth.schemas.rejections import Rejection, count
 
 POSE_NS = 200_000_000
 DEADLINE_NS = 500_000_000
-LOST_NS = 1_000_000_000  # no usable position for this long
+LOST_NS = 1_500_000_000  # no usable position for this long; the slowest receivers send one a second
+FIX_NS = 5_000_000_000  # a fix that was reported longer ago counts as unknown
+WHEEL_HOLD_NS = 250_000_000  # of the last wheel angle or wheel-based speed
 MOVED_SD = 0.03  # s, by which a moved receiver's learned latency may be wrong: 0.1 m at 3 m/s
 FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
 ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
 CLOCKS_APART_NS = 3_000_000_000  # receivers tell UTC up to a second late
 LEAP_SECONDS_NS = (16_000_000_000, 20_000_000_000)  # some tell GPS time for UTC
 DAY_NS = 86_400_000_000_000
-UNDER_WAY = 1.0  # m/s: a rig at this speed moves every sensor's reading
 MOUNTS = tuple(Mount)
 WHEEL_BASED_PGN = 65096
 WHEEL = "wheel_angle"
@@ -85,6 +86,15 @@ class Aligner:
         """Whether the readings of the wheel angle stand still, as they never do or as they cannot."""
         screen = self.screens.by.get(WHEEL_NAME)
         return screen is not None and (screen.stands or screen.failed)
+
+    def in_use(self, body: int, t_ns: int) -> list[tuple[int, Track, int]]:
+        """(index into MOUNTS, track, t_ns on its clock) of the receivers of a body that are not left out,
+        front first. body: 0 tractor, 1 implement."""
+        return [
+            (index, track, t_ns + self.latency.excess_ns(index))
+            for index in (2 * body, 2 * body + 1)
+            if (track := self.tracks.get(MOUNTS[index].value)) is not None and not track.left_out
+        ]
 
 
 def initial(machine: Machine) -> Aligner:

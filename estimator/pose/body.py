@@ -8,7 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tilth.estimator.pose.geometry import Vector, rotate, wrap
+from tilth.estimator.rig.geometry import Vector, between, direction, length, rotate, wrap
+from tilth.estimator.rig.residuals import pair_of, seen_hitch
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,24 +39,26 @@ def baseline(front: ReportedPoint, rear: ReportedPoint, sd_tilt: float) -> Basel
 
     sd_tilt: sd of the shift between the two points from the errors of roll and pitch, m.
     """
-    north, east = front.at[0] - rear.at[0], front.at[1] - rear.at[1]
-    forward, right = front.lever[0] - rear.lever[0], front.lever[1] - rear.lever[1]
-    length = math.hypot(forward, right)
-    bearing = math.atan2(east, north)
+    seen = pair_of(front.at, rear.at, front.lever, rear.lever)
     variance_across, speed_along = 0.0, 0.0
     for antenna in (front, rear):
         velocity = antenna.velocity or (0.0, 0.0)
         speed = math.hypot(*velocity)
-        angle = math.atan2(velocity[1], velocity[0]) - bearing
+        angle = direction(velocity) - seen.bearing
         smear = speed * antenna.sd_time
         variance_across += antenna.sd**2 + (smear * math.sin(angle)) ** 2
         speed_along += speed * math.cos(angle) / 2
     return Baseline(
-        heading=wrap(bearing - math.atan2(right, forward)),
-        sd_heading=math.sqrt(variance_across + sd_tilt**2) / length,
-        excess=math.hypot(north, east) - length,
+        heading=wrap(seen.heading),
+        sd_heading=math.sqrt(variance_across + sd_tilt**2) / length(between(front.lever, rear.lever)),
+        excess=seen.excess,
         speed_along=speed_along,
     )
+
+
+def hitch(front: ReportedPoint, rear: ReportedPoint, heading: float, place: float) -> Vector:
+    """Where a body has the hitch: north, east, m. place: of the hitch, forward of its CG, m."""
+    return seen_hitch(front.at, rear.at, front.lever, rear.lever, heading, place)
 
 
 def cg_position(antennas: Sequence[ReportedPoint], heading: float, sd_heading: float) -> tuple[Vector, float]:

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.rig.residuals import CRUISE
+
 Array = NDArray[np.float64]
 
-SLOWEST = 1.5  # m/s: at lower speeds distances contain too little information on time
 CORRELATED_POSES = 25.0  # poses (5 s) whose position errors count as one, since multipath is not white
 DRIFT_RATE = 0.5e-3  # s per sqrt(s)
 SURVEY_SD = 0.02  # m: error of a surveyed distance, never averaged away
@@ -42,7 +43,7 @@ class Latency:
         row: (4,). ahead: how far the points of positive weight are ahead of their place by the geometry, m.
         sd: of one such distance, m. speed: along the path, m/s, negative in reverse.
         """
-        if abs(speed) < SLOWEST:
+        if abs(speed) < CRUISE:
             return
         innovation = -ahead / speed
         cross = self.covariance @ row
@@ -56,7 +57,7 @@ class Latency:
         """Sd of τ_one − τ_other, s, including the error of the survey."""
         p = self.covariance
         variance = float(p[one, one] + p[other, other] - 2 * p[one, other])
-        return math.sqrt(max(variance, 0.0) + (SURVEY_SD / max(abs(speed), SLOWEST)) ** 2)
+        return math.sqrt(max(variance, 0.0) + (SURVEY_SD / max(abs(speed), CRUISE)) ** 2)
 
     def sd_mean(self, receivers: list[int]) -> float:
         """Sd of the mean τ of these receivers, s."""

@@ -13,7 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.geometry import rotate
+from tilth.estimator.pose.moments import Moments
+from tilth.estimator.rig.geometry import rotate
+from tilth.estimator.rig.residuals import CRUISE
 from tilth.schemas.flow import BodyPose, Pose
 
 Array = NDArray[np.float64]
@@ -21,7 +23,6 @@ Array = NDArray[np.float64]
 NAMES: Final = ("tractor", "implement")
 STEP_NS: Final = 200_000_000  # from pose to pose
 INTERVAL: Final = 10  # poses (2 s): several metres, large against the noise of positions
-SLOWEST: Final = 1.5  # m/s
 INTERVAL_MEMORY: Final = 10.0  # intervals (20 s) over which the mean forgets
 LEAST_INTERVALS: Final = 5.0
 LARGEST_DISTANCE_ERROR: Final = 0.1  # share: slip, slope and latency at a nearly constant speed cause less
@@ -45,10 +46,8 @@ class BodyMotion:
     weight: float = 0.0  # number of intervals in the two sums that follow
     displacement_integral: float = 0.0  # displacement times integral of the velocity, m^2
     integral_squared: float = 0.0  # the integral squared, m^2
-    roll_weight: float = 0.0  # number of poses in the moments
-    mean: Array = field(default_factory=lambda: np.zeros(4))
+    rolls: Moments = field(default_factory=lambda: Moments.of(4))
     """Of lateral acceleration (m/s^2), roll (rad), cosine and sine of the heading."""
-    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))  # central, of the same four
 
 
 @dataclass(slots=True)
@@ -87,9 +86,9 @@ def found(state: MotionCheck) -> dict[str, str]:
                 f"the {name}'s measured roll follows its turns by {size}, as no vehicle leans: {key}?"
             )
     tractor, implement = state.bodies
-    difference = float(tractor.mean[1] - implement.mean[1])
+    difference = float(tractor.rolls.mean[1] - implement.rolls.mean[1])
     if (
-        min(tractor.roll_weight, implement.roll_weight) >= LEAST_ROLL_POSES
+        min(tractor.rolls.weight, implement.rolls.weight) >= LEAST_ROLL_POSES
         and abs(difference) > LARGEST_ROLL_DIFFERENCE
     ):
         key = "receiver (roll)"
@@ -100,7 +99,7 @@ def found(state: MotionCheck) -> dict[str, str]:
 
 def roll_check_pending(state: MotionCheck) -> bool:
     """Whether rolls of both bodies are measured, but not yet for long enough to compare them."""
-    tractor, implement = (body.roll_weight for body in state.bodies)
+    tractor, implement = (body.rolls.weight for body in state.bodies)
     return min(tractor, implement) > 0.0 and min(tractor, implement) < LEAST_ROLL_POSES
 
 
@@ -112,7 +111,7 @@ def _take_motion(body: BodyMotion, body_pose: BodyPose) -> None:
         or body_pose.y is None
         or speed is None
         or body_pose.heading is None
-        or abs(speed) < SLOWEST
+        or abs(speed) < CRUISE
     ):
         body.place = None
         return
@@ -145,22 +144,18 @@ def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
     speed, psi = body_pose.forward_velocity, body_pose.heading
     if body_pose.roll is None or body_pose.yaw_rate is None or speed is None or psi is None:
         return
-    if abs(speed) < SLOWEST:
+    if abs(speed) < CRUISE:
         return
     sample = np.array([speed * body_pose.yaw_rate, body_pose.roll, math.cos(psi), math.sin(psi)])
-    keep = 1.0 - 1.0 / ROLL_MEMORY
-    body.roll_weight = keep * body.roll_weight + 1.0
-    off = sample - body.mean
-    body.mean += off / body.roll_weight
-    body.moments = keep * body.moments + np.outer(off, sample - body.mean)
+    body.rolls.add(sample, ROLL_MEMORY)
 
 
 def _gradient(body: BodyMotion) -> float:
     """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0. What goes with the
     heading is the slope of the field, as a plane."""
-    if body.roll_weight < LEAST_ROLL_POSES:
+    if body.rolls.weight < LEAST_ROLL_POSES:
         return 0.0
-    moments = body.moments / body.roll_weight
+    moments = body.rolls.covariance
     by_heading = np.linalg.solve(moments[2:, 2:] + TURNED * np.eye(2), moments[2:, :2])
     left = moments[:2, :2] - moments[:2, 2:] @ by_heading
     acceleration_sd, roll_sd = np.sqrt(np.maximum(np.diag(left), 0.0))

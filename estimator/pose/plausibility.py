@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from itertools import permutations
 
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.geometry import Vector, rotate
+from tilth.estimator.rig.geometry import Vector
+from tilth.estimator.rig.residuals import pair_of, seen_hitch
 from tilth.schemas.flow import Flag, FlagKind, Mount
 from tilth.schemas.machine import Machine
 
@@ -111,18 +112,10 @@ def misfit(points: Mapping[Mount, Vector], levers: Mapping[Mount, Vector], c: fl
         if front not in points or rear not in points:
             hitches.append(None)
             continue
-        north, east = points[front][0] - points[rear][0], points[front][1] - points[rear][1]
-        forward, right = levers[front][0] - levers[rear][0], levers[front][1] - levers[rear][1]
-        total += (math.hypot(north, east) - math.hypot(forward, right)) ** 2
-        heading = math.atan2(east, north) - math.atan2(right, forward)
-        middle = ((levers[front][0] + levers[rear][0]) / 2, (levers[front][1] + levers[rear][1]) / 2)
-        arm = rotate((to_hitch - middle[0], -middle[1]), heading)
-        hitches.append(
-            (
-                (points[front][0] + points[rear][0]) / 2 + arm[0],
-                (points[front][1] + points[rear][1]) / 2 + arm[1],
-            )
-        )
+        ends = points[front], points[rear], levers[front], levers[rear]
+        seen = pair_of(*ends)
+        total += seen.excess**2
+        hitches.append(seen_hitch(*ends, seen.heading, to_hitch))
     tractor, implement = hitches
     if tractor is not None and implement is not None:
         total += math.dist(tractor, implement) ** 2

@@ -14,22 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import LOST_NS, MOUNTS, POSE_NS, UNDER_WAY, WHEEL, Aligner, due
-from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
-from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
+from tilth.estimator.pose.aligner import (
+    FIX_NS,
+    LOST_NS,
+    MOUNTS,
+    POSE_NS,
+    WHEEL,
+    WHEEL_HOLD_NS,
+    Aligner,
+    due,
+)
+from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
+from tilth.estimator.rig.geometry import Vector, lever, wrap
+from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap, pair_of, sideways
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 MOVING = 0.3  # m/s
-FIX_NS = 5_000_000_000  # a fix that was reported longer ago counts as unknown
 STRAIGHT = 0.05  # rad/s: at smaller yaw rates a body at CRUISE or faster moves where it points
-CRUISE = 1.5  # m/s
 CREEP = 0.7  # m/s: at lower speeds no latency shifts a point by more than the survey's error
 SHARP_POSITION_SD = 0.1  # m: positions with a larger sd are not compared with the survey
 LATENCY_SDS = 2.5  # sds of the machine file: further off, latency or position of the receiver is wrong
 LATENCY_SLACK_S = 0.02
-WHEEL_HOLD_NS = 250_000_000
 UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that is not measured
 LONGEST_YAW_RATE_HEADING_NS = 5_000_000_000  # a heading is continued by the yaw rate at most this long
 YAW_RATE_HEADING_WALK = math.radians(0.3)  # rad per sqrt(s), growth of its sd
@@ -107,11 +114,7 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
 
 def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
     """The measurements of one body's receivers, interpolated to t_ns; adds flags for what is missing."""
-    present = [
-        (i, track, t_ns + state.latency.excess_ns(i))
-        for i in BODIES[index]
-        if (track := state.tracks.get(MOUNTS[i].value)) is not None and not track.left_out
-    ]
+    present = state.in_use(index, t_ns)
     roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, SLOW_HOLD_NS))])
     pitch = _mean([s for _, tr, at in present if (s := sample_at(tr.pitches, at, SLOW_HOLD_NS))])
     yaw_rate = _mean([s for _, tr, at in present if (s := tr.yaw_rate_at(at))])
@@ -182,16 +185,18 @@ def _withhold_doubtful(state: Aligner, bodies: list[_Body], late: bool) -> list[
 
 def _update_long_term_means(state: Aligner, bodies: list[_Body]) -> None:
     """Add this instant to the means of baseline excess and crab angle, which should be zero."""
-    for body in bodies:
+    axles = -state.machine.tractor.b.value, -state.machine.implement.e.value
+    for body, axle in zip(bodies, axles, strict=True):
         if body.pair is None:
             continue
         state.long_term.excess[body.index].add(body.pair.excess)
-        straight = body.yaw_rate is not None and abs(body.yaw_rate[0]) < STRAIGHT
-        if body.pair_velocity is not None and straight and math.hypot(*body.pair_velocity[:2]) > CRUISE:
+        if body.pair_velocity is None or body.yaw_rate is None or abs(body.yaw_rate[0]) >= STRAIGHT:
+            continue
+        u, v, _ = body.pair_velocity
+        if math.hypot(u, v) > CRUISE:
             # The absolute value makes forward and reverse alike: reversing is no fault.
-            state.long_term.crab_angle[body.index].add(
-                math.atan2(body.pair_velocity[1], abs(body.pair_velocity[0]))
-            )
+            at_axle = sideways(v, body.yaw_rate[0], axle)
+            state.long_term.crab_angle[body.index].add(math.atan2(at_axle, abs(u)))
 
 
 def _update_parked_means(state: Aligner, bodies: list[_Body], ahead: float, across: float) -> None:
@@ -274,15 +279,16 @@ def _heading_by_hitch(
     hitch_here, hitch_there = (-c, d) if body.index == 0 else (d, -c)
     if other.heading is None:
         return None
-    cg, sd_cg = cg_position(list(other.antennas.values()), other.heading, other.sd_heading)
-    arm = rotate((hitch_there, 0.0), other.heading)
-    north, east = cg[0] + arm[0] - antenna.at[0], cg[1] + arm[1] - antenna.at[1]
-    forward, right = hitch_here - antenna.lever[0], -antenna.lever[1]
-    length = math.hypot(forward, right)
-    if length < 0.5:
+    front, rear = other.antennas.values()
+    _, sd_cg = cg_position([front, rear], other.heading, other.sd_heading)
+    seen = pair_of(
+        hitch(front, rear, other.heading, hitch_there), antenna.at, (hitch_here, 0.0), antenna.lever
+    )
+    reach = math.dist((hitch_here, 0.0), antenna.lever)
+    if reach < 0.5:
         return None  # the antenna is at the hitch: there is no direction
-    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(hitch_there) * other.sd_heading) ** 2) / length
-    return wrap(math.atan2(east, north) - math.atan2(right, forward)), sd
+    sd = math.sqrt(antenna.sd**2 + sd_cg**2 + (abs(hitch_there) * other.sd_heading) ** 2) / reach
+    return wrap(seen.heading), sd
 
 
 def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
@@ -293,6 +299,7 @@ def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
         return
     speeds: list[float] = []
     hitches: list[Vector] = []
+    heading = 0.0
     for body, to_hitch in zip(
         bodies, (-state.machine.tractor.c.value, state.machine.implement.d.value), strict=True
     ):
@@ -303,14 +310,11 @@ def _update_latency(state: Aligner, bodies: list[_Body], t_ns: int) -> None:
         row[list(BODIES[body.index])] = 1.0, -1.0
         sd = math.hypot(front.sd, rear.sd)
         state.latency.update(row, body.pair.excess, sd, body.pair.speed_along)
-        cg, _ = cg_position([front, rear], body.heading, body.sd_heading)
-        arm = rotate((to_hitch, 0.0), body.heading)
-        hitches.append((cg[0] + arm[0], cg[1] + arm[1]))
+        heading = body.heading
+        hitches.append(hitch(front, rear, heading, to_hitch))
         speeds.append(body.pair.speed_along)
-    heading = bodies[1].heading or 0.0
-    gap = (hitches[0][0] - hitches[1][0], hitches[0][1] - hitches[1][1])
-    ahead = gap[0] * math.cos(heading) + gap[1] * math.sin(heading)
-    _update_parked_means(state, bodies, ahead, gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
+    ahead, right = hitch_gap(hitches[0], hitches[1], heading)
+    _update_parked_means(state, bodies, ahead, right)
     sd = max(a.sd for body in bodies for a in body.antennas.values())
     state.latency.update(np.array([0.5, 0.5, -0.5, -0.5]), ahead, sd, sum(speeds) / 2)
 

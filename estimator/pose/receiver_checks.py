@@ -14,17 +14,17 @@ accuracy of the survey; uneven ground needs no such accuracy.
 
 import math
 from dataclasses import dataclass, field
-from operator import itemgetter
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
-from tilth.estimator.pose.body import ReportedPoint, baseline
-from tilth.estimator.pose.geometry import rotate, wrap
+from tilth.estimator.pose.body import ReportedPoint, baseline, hitch
 from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
+from tilth.estimator.rig.geometry import Vector, between, length, wrap
+from tilth.estimator.rig.residuals import UNDER_WAY, hitch_gap, hitch_shares
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import WITHIN, plus_minus
@@ -32,7 +32,6 @@ from tilth.schemas.spread import WITHIN, plus_minus
 Array = NDArray[np.float64]
 
 INTERVAL: Final = 10  # poses (2 s): about as long as it takes to turn in
-SLOWEST: Final = 1.0  # m/s
 HITCH_SAMPLE_POSES: Final = 5  # poses (1 s) between two samples of the gap at the hitch
 HITCH_SAMPLES_IN_ONE: Final = 4.0
 """How many of them count as one: errors of receivers last for half a minute, and so does a roll on a slope.
@@ -84,9 +83,9 @@ class _Pair:
 
     heading: float  # rad
     sd_heading: float  # rad
-    hitch: tuple[float, float]  # north, east, m, as seen from this body
+    hitch: Vector  # north, east, m, as seen from this body
     sd_hitch: float  # m
-    weights: tuple[float, float]  # lateral shift of the hitch per lateral shift of front and rear antenna
+    shares: tuple[float, float]  # lateral shift of the hitch per lateral shift of front and rear antenna
     length: float  # of the baseline, m
 
 
@@ -102,7 +101,7 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     kinds = {flag.kind for flag in pose.flags}
     speed = pose.tractor.forward_velocity
     pairs: list[_Pair | None] = [None, None]
-    if speed is not None and speed > SLOWEST and not kinds & WITHOUT_RTK:
+    if speed is not None and speed > UNDER_WAY and not kinds & WITHOUT_RTK:
         pairs = [_pair(aligner, body, t_ns) for body in (0, 1)]
     rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):
@@ -188,54 +187,38 @@ def _informative(state: ReceiverChecks) -> tuple[Array, Array]:
 
 def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
     """Both antennas of a body, not corrected for roll; None if one is missing or extrapolated."""
+    machine = aligner.machine
+    places = {receiver.mount: receiver.position[:2] for receiver in machine.receiver}
     antennas = []
-    for receiver in aligner.machine.receiver:
-        index = MOUNTS.index(receiver.mount)
-        if index // 2 != body:
-            continue
-        track = aligner.tracks[receiver.mount.value]
-        found = (
-            track.position_at(t_ns + aligner.latency.excess_ns(index))
-            if track.usable() and not track.left_out
-            else None
-        )
+    for index, track, at_ns in aligner.in_use(body, t_ns):
+        found = track.position_at(at_ns) if track.usable() else None
         if found is None or found[2]:
             return None
-        antennas.append((index, ReportedPoint(found[0], found[1], receiver.position[:2], None, 0.0, 0.0)))
+        antennas.append(ReportedPoint(found[0], found[1], places[MOUNTS[index]], None, 0.0, 0.0))
     if len(antennas) != 2:
         return None
-    front, rear = (antenna for _, antenna in sorted(antennas, key=itemgetter(0)))
-    arm = (front.lever[0] - rear.lever[0], front.lever[1] - rear.lever[1])
-    length = math.hypot(*arm)
+    front, rear = antennas
     pair = baseline(front, rear, 0.0)
-    machine = aligner.machine
     place = -machine.tractor.c.value if body == 0 else machine.implement.d.value
-    # Position of the hitch along the baseline, in lengths from the rear antenna (0) to the front one (1).
-    behind = rear.lever
-    share = ((place - behind[0]) * arm[0] - behind[1] * arm[1]) / length**2
-    to_hitch = rotate((place - behind[0], -behind[1]), pair.heading)
+    shares = hitch_shares(front.lever, rear.lever, place)
     return _Pair(
-        pair.heading, pair.sd_heading, (rear.at[0] + to_hitch[0], rear.at[1] + to_hitch[1]),
-        max(front.sd, rear.sd) * math.hypot(share, 1 - share), (share, 1 - share), length,
+        pair.heading, pair.sd_heading, hitch(front, rear, pair.heading, place),
+        max(front.sd, rear.sd) * math.hypot(*shares), shares, length(between(front.lever, rear.lever)),
     )  # fmt: skip
 
 
 def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
     """(roll, rad, variance of its noise) of a body. With two receivers their difference gives the noise."""
-    found_rolls = []
-    for index in (2 * body, 2 * body + 1):
-        track = aligner.tracks.get(MOUNTS[index].value)
-        at_ns = t_ns + aligner.latency.excess_ns(index)
-        used = track is not None and not track.left_out
-        found = sample_at(track.rolls, at_ns, SLOW_HOLD_NS) if track is not None and used else None
-        if found is not None:
-            found_rolls.append(found)
-    if not found_rolls:
-        return None
-    if len(found_rolls) == 2:
-        one, other = found_rolls[0][0], found_rolls[1][0]
-        return (one + other) / 2, max(((one - other) / 2) ** 2, LEAST_ROLL_NOISE**2)
-    return found_rolls[0][0], found_rolls[0][1] ** 2
+    match [
+        found
+        for _, track, at in aligner.in_use(body, t_ns)
+        if (found := sample_at(track.rolls, at, SLOW_HOLD_NS))
+    ]:
+        case [(one, _), (other, _)]:
+            return (one + other) / 2, max(((one - other) / 2) ** 2, LEAST_ROLL_NOISE**2)
+        case [(roll, sd)]:
+            return roll, sd**2
+    return None
 
 
 def _update_intervals(
@@ -324,8 +307,7 @@ def _add_hitch_sample(
     tractor, implement = pairs
     if tractor is None or implement is None or rolls[0] is None or rolls[1] is None:
         return
-    north, east = tractor.hitch[0] - implement.hitch[0], tractor.hitch[1] - implement.hitch[1]
-    gap = east * math.cos(implement.heading) - north * math.sin(implement.heading)
+    _, gap = hitch_gap(tractor.hitch, implement.hitch, implement.heading)
     if abs(gap) > LARGEST_GAP:
         return
     heights = _arms(machine)
@@ -334,7 +316,7 @@ def _add_hitch_sample(
     for body, pair in enumerate((tractor, implement)):
         arm = np.zeros(5)
         for k in (0, 1):
-            arm[2 * body + k] = across[body] * pair.weights[k] * heights[2 * body + k]
+            arm[2 * body + k] = across[body] * pair.shares[k] * heights[2 * body + k]
         arms.append(arm)
     both = [rolls[0], rolls[1]]
     row = sum((arm * math.sin(roll) for arm, (roll, _) in zip(arms, both, strict=True)), np.zeros(5))

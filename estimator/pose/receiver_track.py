@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
-from tilth.estimator.pose.geometry import Vector, wrap
 from tilth.estimator.pose.position_rate import PositionRate, observe
 from tilth.estimator.pose.screen import Reading, Screens
+from tilth.estimator.rig.geometry import Vector, wrap
 from tilth.schemas.flow import (
     Attitude,
     Fix,

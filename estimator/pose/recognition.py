@@ -20,9 +20,11 @@ from itertools import permutations
 from typing import Final
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.geometry import Vector, to_plane, wrap
+from tilth.estimator.pose.aligner import WHEEL_HOLD_NS, Aligner
+from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.receiver_track import sample_at
+from tilth.estimator.rig.geometry import Vector, between, direction, wrap
+from tilth.estimator.rig.residuals import pair_of
 from tilth.schemas.flow import EventKind, Mount, Position
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
@@ -42,7 +44,6 @@ LATENCY_SD: Final = 0.03  # s: a point may be so much ahead of or behind its pla
 TURN_NS: Final = 1_000_000_000  # over which the change of heading is compared with the wheel angle
 TURN_SD: Final = 0.06  # rad in that time
 TURN_SHARE: Final = 0.3  # of the expected turn, by which it may be wrong: slip, wheel angle
-WHEEL_HOLD_NS: Final = 250_000_000
 REPORTED_NS: Final = 3_000_000_000  # age of the direction that the vehicle reports
 AGAINST: Final = 2.0  # log-likelihood that a comparison costs where the reported direction is the opposite
 BEFORE: Final = 6.0  # log-likelihood that every receiver is where it was before
@@ -258,7 +259,7 @@ def _compare(
             and len(angles) == len(wheel)
             and _pair(at, plausibility.PAIRS[0])
         ):
-            length = machine.tractor.a.value + machine.tractor.b.value
+            length = machine.tractor.wheelbase
             expected = (one.forward - one.turn[1]) * math.tan(sum(angles) / len(angles)) / length
             error = wrap(heading - one.turn[0] - expected)
             likely = error**2 / (TURN_SD + TURN_SHARE * abs(expected)) ** 2 / 2.0
@@ -278,14 +279,12 @@ def _heading(at: Mapping[Mount, Vector], levers: Mapping[Mount, Vector]) -> floa
     """Of the tractor, rad; else about, of the implement, or from one body to the other."""
     for front, rear in plausibility.PAIRS:
         if front in at and rear in at:
-            arm = levers[front][0] - levers[rear][0], levers[front][1] - levers[rear][1]
-            north, east = at[front][0] - at[rear][0], at[front][1] - at[rear][1]
-            return math.atan2(east, north) - math.atan2(arm[1], arm[0])
+            return pair_of(at[front], at[rear], levers[front], levers[rear]).heading
     tractor = next((at[m] for m in plausibility.PAIRS[0] if m in at), None)
     implement = next((at[m] for m in plausibility.PAIRS[1] if m in at), None)
     if tractor is None or implement is None:
         return None
-    return math.atan2(tractor[1] - implement[1], tractor[0] - implement[0])
+    return direction(between(tractor, implement))
 
 
 def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], Notice | None]:

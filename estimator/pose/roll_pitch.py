@@ -1,8 +1,9 @@
 """Roll and pitch of the bodies from their receivers."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.pose.aligner import POSE_NS, Aligner
 from tilth.estimator.pose.receiver_track import SLOW_HOLD_NS, sample_at
 
 HALF_NS = POSE_NS // 2
@@ -20,21 +21,19 @@ class RollPitch:
 def roll_pitch_at(aligner: Aligner, body: int, t_ns: int) -> RollPitch:
     """Roll and pitch of a body (0 tractor, 1 implement) at t_ns: the means over its receivers
     but those that are left out."""
-    rolls: list[tuple[float, float]] = []
-    pitches: list[float] = []
-    for index in (2 * body, 2 * body + 1):
-        track = aligner.tracks.get(MOUNTS[index].value)
-        if track is None or track.left_out:
-            continue
-        at_ns = t_ns + aligner.latency.excess_ns(index)
+    befores, rolls, pitches = [], [], []
+    for _, track, at_ns in aligner.in_use(body, t_ns):
         before = sample_at(track.rolls, at_ns - HALF_NS, SLOW_HOLD_NS)
         roll = sample_at(track.rolls, at_ns, SLOW_HOLD_NS)
         pitch = sample_at(track.pitches, at_ns, SLOW_HOLD_NS)
         if roll is not None and before is not None:
-            rolls.append((before[0], roll[0]))
-        if pitch is not None:
-            pitches.append(pitch[0])
-    pitch_mean = sum(pitches) / len(pitches) if pitches else 0.0
-    before_mean = sum(before for before, _ in rolls) / max(len(rolls), 1)
-    roll_mean = sum(roll for _, roll in rolls) / max(len(rolls), 1)
-    return RollPitch(before_mean, roll_mean, pitch_mean)
+            befores.append(before)
+            rolls.append(roll)
+        pitches.append(pitch)
+    return RollPitch(mean_of(befores) or 0.0, mean_of(rolls) or 0.0, mean_of(pitches) or 0.0)
+
+
+def mean_of(readings: Iterable[tuple[float, float] | None]) -> float | None:
+    """Mean of the values of (value, sd), each of a receiver; None without any."""
+    values = [reading[0] for reading in readings if reading is not None]
+    return sum(values) / len(values) if values else None

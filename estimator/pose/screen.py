@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from tilth.estimator.pose.geometry import Vector, wrap
+from tilth.estimator.rig.geometry import Vector, wrap
 from tilth.schemas.flow import Flag, FlagKind
 from tilth.schemas.rejections import Rejection, count
 

@@ -10,9 +10,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from tilth.estimator.pose.aligner import POSE_NS, UNDER_WAY, Aligner
-from tilth.estimator.pose.geometry import wrap
+from tilth.estimator.pose.aligner import POSE_NS, Aligner
 from tilth.estimator.pose.screen import SensorScreen
+from tilth.estimator.rig.geometry import wrap
+from tilth.estimator.rig.residuals import UNDER_WAY, path_angle
 from tilth.schemas.flow import Flag, FlagKind, Pose
 from tilth.schemas.notices import Notice, NoticeCode, notice
 
@@ -98,10 +99,10 @@ def _add(state: StandingCheck, aligner: Aligner, pose: Pose) -> None:
     past = before or MotionAtPose(pose.t_ns, u, 0.0, 0.0, 0.0, (math.nan, math.nan), (0.0, 0.0))
     tractor, implement = headings
     turned = past.turned[0] + rates[0] * seconds, past.turned[1] + rates[1] * seconds
-    wheelbase = aligner.machine.tractor.a.value + aligner.machine.tractor.b.value
     state.poses.append(
         MotionAtPose(
-            pose.t_ns, u, past.way + abs(u) * seconds, math.atan(wheelbase * r / u), u * r,
+            pose.t_ns, u, past.way + abs(u) * seconds,
+            path_angle(aligner.machine.tractor.wheelbase, u, r), u * r,
             (_unwrapped(tractor, past.heading[0]), _unwrapped(implement, past.heading[1])), turned,
         )
     )  # fmt: skip

@@ -13,12 +13,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.pose.moments import Moments
+from tilth.estimator.rig.residuals import CRUISE, path_angle
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOWEST: Final = 1.5  # m/s
 MEMORY: Final = 100.0  # poses (20 s)
 SMOOTHING: Final = 10.0  # poses (2 s), time constant
 LEAST_POSES: Final = 25.0  # poses
@@ -36,37 +37,30 @@ class WheelCheck:
     """Moments of (angle without slip, reading), rad, over the last MEMORY poses."""
 
     smoothed: Array = field(default_factory=lambda: np.zeros(2))  # the two after the low-pass filter
-    weight: float = 0.0  # number of poses in the moments
-    mean: Array = field(default_factory=lambda: np.zeros(2))
-    moments: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    moments: Moments = field(default_factory=lambda: Moments.of(2))
 
 
 def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
     """Take one pose."""
     u, r, reading = pose.tractor.forward_velocity, pose.tractor.yaw_rate, pose.wheel_angle
-    if u is None or r is None or reading is None or u < SLOWEST:
+    if u is None or r is None or reading is None or u < CRUISE:
         return
-    wheelbase = machine.tractor.a.value + machine.tractor.b.value
-    sample = np.array([math.atan(wheelbase * r / u), reading])
+    sample = np.array([path_angle(machine.tractor.wheelbase, u, r), reading])
     state.smoothed += (sample - state.smoothed) / SMOOTHING
-    retained = 1.0 - 1.0 / MEMORY
-    state.weight = retained * state.weight + 1.0
-    deviation = state.smoothed - state.mean
-    state.mean += deviation / state.weight
-    state.moments = retained * state.moments + np.outer(deviation, state.smoothed - state.mean)
+    state.moments.add(state.smoothed, MEMORY)
 
 
 def verdict(state: WheelCheck) -> tuple[str, str]:
     """(key of the machine file, message), or ("", "") if nothing is wrong."""
-    if state.weight < LEAST_POSES:
+    if state.moments.weight < LEAST_POSES:
         return "", ""
-    path_sd, reading_sd = np.sqrt(np.diag(state.moments) / state.weight)
+    moments = state.moments.covariance
+    path_sd, reading_sd = np.sqrt(np.diag(moments))
     if max(path_sd, reading_sd) < LEAST_ANGLE_SD:
         return "", ""
     if path_sd > LEAST_ANGLE_SD and reading_sd < STUCK_RATIO * path_sd:
         return _wrong_scale(reading_sd / path_sd)
-    covariance = state.moments[0, 1] / state.weight
-    correlation = covariance / max(path_sd * reading_sd, 1e-12)
+    correlation = moments[0, 1] / max(path_sd * reading_sd, 1e-12)
     if path_sd < LEAST_ANGLE_SD / 3.0:
         return "wheel_angle", "the wheels' angle moves, the tractor does not turn: wheel_angle?"
     if correlation < -SURE_CORRELATION:

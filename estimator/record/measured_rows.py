@@ -1,14 +1,13 @@
 """The receivers' samples between two poses, each used once, as rows of a record."""
 
-import math
 from collections import deque
 from dataclasses import dataclass, field
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
-from tilth.estimator.pose.geometry import lever, wrap
 from tilth.estimator.pose.receiver_track import Stamped
 from tilth.estimator.pose.roll_pitch import RollPitch
 from tilth.estimator.record.record import EAST, HEADING, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE
+from tilth.estimator.rig.geometry import between, lever, rotate, wrap
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
 from tilth.schemas.reasons import Code
@@ -152,8 +151,7 @@ def _pitch_displacement(span: _Span, receiver: Receiver, since_ns: int) -> float
 
 def _velocity_across(span: _Span, receiver: Receiver, since_ns: int, north: float, east: float) -> float:
     """Velocity to the right of psi, corrected for pitch, m/s."""
-    psi = _at(span.psi, since_ns)
-    across = east * math.cos(psi) - north * math.sin(psi)
+    _, across = rotate((north, east), -_at(span.psi, since_ns))
     return across - _pitch_displacement(span, receiver, since_ns) * _at(span.yaw_rate, since_ns)
 
 
@@ -161,5 +159,5 @@ def _position_upright(
     span: _Span, receiver: Receiver, since_ns: int, north: float, east: float
 ) -> tuple[float, float]:
     """Position (north, east), corrected for pitch, m."""
-    psi, forward = _at(span.psi, since_ns), _pitch_displacement(span, receiver, since_ns)
-    return north - forward * math.cos(psi), east - forward * math.sin(psi)
+    forward = _pitch_displacement(span, receiver, since_ns)
+    return between((north, east), rotate((forward, 0.0), _at(span.psi, since_ns)))

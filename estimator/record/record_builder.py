@@ -12,17 +12,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
-from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.receiver_track import Sample
 from tilth.estimator.pose.roll_pitch import roll_pitch_at
 from tilth.estimator.record.measured_rows import Knot, Row, UsedSamples, rows_between
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment
+from tilth.estimator.rig.geometry import wrap
+from tilth.estimator.rig.residuals import UNDER_WAY
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
 
 TICKS = POSE_NS // TICK_NS  # of a segment
-SLOWEST = 1.0  # m/s
 LARGEST_WHEEL_ANGLE = math.radians(37.0)
 LARGEST_ARTICULATION = math.radians(62.0)
 """Full lock of a tractor's wheels, and what a headland turn at full lock folds the rig to, with a margin. Up
@@ -168,7 +168,7 @@ def _reason(pose: Pose) -> Code | None:
         return Code.NO_HEADING
     if u is None or pose.tractor.yaw_rate is None or pose.articulation is None:
         return Code.POSE_INCOMPLETE
-    if u < SLOWEST:
+    if u < UNDER_WAY:
         return Code.TOO_SLOW
     if abs(pose.articulation) > LARGEST_ARTICULATION:
         return Code.BEYOND_ARTICULATION

@@ -298,7 +298,7 @@ def _effort(candidate: Candidate) -> float:
 
 def gentle(machine: Machine, speed: float, turns: bool = True) -> tuple[Candidate, ...]:
     """The candidates within LARGEST_ACCELERATION at a speed, m/s, mildest first. turns: with TURN."""
-    wheelbase = machine.tractor.a.value + machine.tractor.b.value
+    wheelbase = machine.tractor.wheelbase
     limit = LARGEST_ACCELERATION * wheelbase
     return tuple(
         c
@@ -332,7 +332,7 @@ def advise(
         tuple(now[undetermined].tolist()), known,
     )  # fmt: skip
     uneven = math.exp(mean[AT["uneven"]])
-    wheelbase = machine.tractor.a.value + machine.tractor.b.value
+    wheelbase = machine.tractor.wheelbase
     after = {}
     for candidate, brought in table.items():
         angle = math.radians(candidate.degrees)

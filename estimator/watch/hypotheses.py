@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.residuals import LEVERS, pair_turn
 from tilth.estimator.watch.information import (
     CRAB,
     DELAY,
@@ -25,6 +26,7 @@ from tilth.estimator.watch.information import (
     drift,
     lengths,
     prior_information,
+    slopes_of,
 )
 from tilth.schemas.machine import Machine
 
@@ -58,8 +60,15 @@ class Explanation(NamedTuple):
 def hypotheses(machine: Machine) -> tuple[Hypothesis, ...]:
     """All of a machine file with four receivers."""
     rig = lengths(machine)
-    found = [Hypothesis(mount.value, _moved(rig, k)) for k, mount in enumerate(MOUNTS)]
-    found += [Hypothesis(name, _turned(rig, body)) for body, name in enumerate(PAIRS)]
+    moved = [_moved(rig, body) for body in (0, 1)]
+    found = [
+        Hypothesis(mount.value, moved[k // 2][:, 2 * (k % 2) : 2 * (k % 2) + 2])
+        for k, mount in enumerate(MOUNTS)
+    ]
+    turns = pair_turn(rig.levers)[
+        :, :, None
+    ]  # of both receivers about the middle between them, rad, clockwise
+    found += [Hypothesis(name, moved[body] @ turns[body]) for body, name in enumerate(PAIRS)]
     found += [_one(WHEEL, ZERO), _one(DRAWBAR, HITCH + 2)]
     return (*found, *(_one(name, DELAY + k) for k, name in enumerate(LATENCIES)))
 
@@ -70,20 +79,17 @@ def _one(name: str, at: int) -> Hypothesis:
     return Hypothesis(name, directions)
 
 
-def _moved(rig: Lengths, k: int) -> Array:
-    """A receiver: forward and right, m."""
-    body, front = k // 2, k % 2 == 0
-    sign = 1.0 if front else -1.0
-    out = np.zeros((N, 2))
-    out[LENGTH + body, 0], out[HITCH + 2 * body, 0] = sign, 0.5
-    out[HITCH + 2 * body + 1, 1], out[CRAB + body, 1] = rig.shares[k], -sign / rig.spans[body]
+def _moved(rig: Lengths, body: int) -> Array:
+    """(N, 4): both receivers of a body, front first, each forward and right, m.
+
+    What a receiver shows that was moved is what one shows whose place in the file is wrong the other way.
+    """
+    slopes = slopes_of(rig, np.zeros((2, 3)), np.zeros(2))
+    out = np.zeros((N, 4))
+    out[LENGTH + body] = -slopes.excess[body, LEVERS]
+    out[HITCH + 2 * body : HITCH + 2 * body + 2] = -slopes.hitch[body][:, LEVERS]
+    out[CRAB + body] = slopes.heading[body, LEVERS]  # way of the axle minus heading of the pair
     return out
-
-
-def _turned(rig: Lengths, body: int) -> Array:
-    """Both receivers of a body about the middle between them, rad, clockwise."""
-    half = rig.spans[body] / 2
-    return (_moved(rig, 2 * body) - _moved(rig, 2 * body + 1))[:, 1:] * half
 
 
 def _inverse(matrix: Array) -> Array:

@@ -15,6 +15,19 @@ from numpy.typing import NDArray
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.residuals import (
+    CRUISE,
+    LATENCIES,
+    PairSlopes,
+    gap_by_place,
+    gap_slopes,
+    hitch_shares,
+    pair_slopes,
+    path_angle,
+    sideways,
+    wheel_off,
+    wheel_slopes,
+)
 from tilth.estimator.watch.sample import BodySample, Sample
 from tilth.schemas.machine import Machine
 
@@ -43,7 +56,6 @@ KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two cr
 CORRELATED: Final = 25.0  # poses (5 s) whose position errors count as one, as in pose/latency.py
 CRAB_SD, CRAB_CORRELATED = 0.012, 6.0  # rad of one pose on even ground; poses that count as one
 WHEEL_SD, WHEEL_CORRELATED = 0.006, 10.0
-SLOWEST: Final = 1.5  # m/s, for directions of travel
 STRAIGHT: Final = 0.1  # rad/s
 GENTLE: Final = 1.0  # m/s^2 of lateral acceleration, up to which slip is proportional to it
 SMALL_ANGLE: Final = math.radians(9.0)  # of the wheels
@@ -51,12 +63,10 @@ SMALL_ANGLE: Final = math.radians(9.0)  # of the wheels
 
 @dataclass(frozen=True, slots=True)
 class Lengths:
-    """What rows need of a machine file. Arrays in the order of flow.Mount, m."""
+    """What rows need of a machine file, m. Bodies tractor first, receivers front first."""
 
-    forward: Array  # (4,), of the receivers
-    right: Array  # (4,)
-    shares: Array  # (4,): how far the hitch goes right where that antenna does
-    spans: tuple[float, float]  # between the antennas of a body
+    levers: Array  # (2, 2, 2): of each body and receiver, forward and right
+    places: Array  # (2,): of the hitch, forward of each CG
     axles: tuple[float, float]  # forward of the CG
     wheelbase: float
     sds: Array  # (KINDS,): of one pose
@@ -67,20 +77,15 @@ class Lengths:
 def lengths(machine: Machine) -> Lengths:
     """Of a machine file with four receivers."""
     by_mount = {receiver.mount: receiver for receiver in machine.receiver}
-    places = np.array([by_mount[mount].position[:2] for mount in MOUNTS])
-    hitches = (-machine.tractor.c.value, machine.implement.d.value)
-    shares = np.zeros(4)
-    for body, hitch in enumerate(hitches):
-        front, rear = places[2 * body, 0], places[2 * body + 1, 0]
-        beyond = (hitch - (front + rear) / 2) / (front - rear)
-        shares[2 * body : 2 * body + 2] = 0.5 + beyond, 0.5 - beyond
+    levers = np.array([by_mount[mount].position[:2] for mount in MOUNTS]).reshape(2, 2, 2)
+    places = np.array([-machine.tractor.c.value, machine.implement.d.value])
+    front, rear = levers.transpose(1, 2, 0)
+    shares = hitch_shares((front[0], front[1]), (rear[0], rear[1]), places)
     sd = max(receiver.position_sd for receiver in machine.receiver)
-    right_sd = sd * math.sqrt(float(shares @ shares))
+    right_sd = sd * float(np.linalg.norm(shares))
     return Lengths(
-        places[:, 0], places[:, 1], shares,
-        (places[0, 0] - places[1, 0], places[2, 0] - places[3, 0]),
-        (-machine.tractor.b.value, -machine.implement.e.value),
-        machine.tractor.a.value + machine.tractor.b.value,
+        levers, places,
+        (-machine.tractor.b.value, -machine.implement.e.value), machine.tractor.wheelbase,
         np.array([sd * math.sqrt(2)] * 2 + [sd, right_sd, CRAB_SD, CRAB_SD, WHEEL_SD]),
         np.array([CORRELATED] * 4 + [CRAB_CORRELATED] * 2 + [WHEEL_CORRELATED]),
     )  # fmt: skip
@@ -90,8 +95,7 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
     """(kinds, design (n, N), measured (n,)) of a sample: which rows of KINDS it gives, n of them."""
     design, measured, there = np.zeros((KINDS, N)), np.zeros(KINDS), np.zeros(KINDS, bool)
     bodies = (now.tractor, now.implement)
-    along, across = _velocities(rig, bodies)
-    _lengths_and_gap(rig, now, along, across, design)
+    _lengths_and_gap(rig, now, design)
     measured[:4] = now.tractor.excess, now.implement.excess, *now.gap
     there[:4] = True
     for k, body in enumerate(bodies):
@@ -99,14 +103,14 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
             u, r = body.forward_velocity, body.yaw_rate
             row = design[4 + k]
             row[CRAB + k], row[TURN + k], row[ROLL + k] = 1.0, u * r, body.roll
-            measured[4 + k] = (body.lateral_velocity + r * rig.axles[k]) / u
+            measured[4 + k] = sideways(body.lateral_velocity, r, rig.axles[k]) / u
             there[4 + k] = True
     wheel = now.wheel_angle
     if there[4] and wheel is not None and abs(wheel) < SMALL_ANGLE:
         u, r = now.tractor.forward_velocity, now.tractor.yaw_rate
-        path = math.atan(rig.wheelbase * r / u)
-        design[6, ZERO : ZERO + 4] = 1.0, path, u * r, now.tractor.roll
-        measured[6] = wheel - path
+        path = path_angle(rig.wheelbase, u, r)
+        design[6, ZERO : ZERO + 4] = *wheel_slopes(np.array(path), np.array(u * r)), now.tractor.roll
+        measured[6] = wheel_off(wheel, path, u * r, 0.0, 1.0, 0.0)
         there[6] = True
     kinds = np.flatnonzero(there).astype(np.int64)
     return kinds, design[kinds], measured[kinds]
@@ -114,30 +118,31 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
 
 def _is_gentle(body: BodySample) -> bool:
     u, r = body.forward_velocity, body.yaw_rate
-    return u > SLOWEST and abs(r) < STRAIGHT and abs(u * r) < GENTLE
+    return u > CRUISE and abs(r) < STRAIGHT and abs(u * r) < GENTLE
 
 
-def _velocities(rig: Lengths, bodies: tuple[BodySample, BodySample]) -> tuple[Array, Array]:
-    """Of the four antennas in the axes of their body, forward and right, m/s."""
-    u, v, r = (
-        np.repeat([getattr(body, name) for body in bodies], 2)
-        for name in ("forward_velocity", "lateral_velocity", "yaw_rate")
-    )
-    return u - r * rig.right, v + r * rig.forward
-
-
-def _lengths_and_gap(rig: Lengths, now: Sample, along: Array, across: Array, design: Array) -> None:
-    """The first four rows. A receiver that is s seconds late reports a point s times its velocity behind."""
+def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:
+    """The first four rows: constants are places of antennas and hitch, and how late receivers are."""
+    bodies = (now.tractor, now.implement)
+    motion = [(body.forward_velocity, body.lateral_velocity, body.yaw_rate) for body in bodies]
+    slopes = slopes_of(rig, np.array(motion), np.array([body.excess for body in bodies]))
+    by_place = gap_by_place(np.array(now.articulation), np.array(0.0))
+    tractor, implement = (PairSlopes(*(slope[body] for slope in slopes)) for body in (0, 1))
+    of_gap = gap_slopes(tractor, implement, by_place, np.array(now.gap)).reshape(2, 2, -1)
+    design[2:4, HITCH : HITCH + 4] = by_place
     for body in (0, 1):
+        late = slice(DELAY + 2 * body, DELAY + 2 * body + 2)
         design[body, LENGTH + body] = 1.0
-        design[body, DELAY + 2 * body : DELAY + 2 * body + 2] = -along[2 * body], along[2 * body + 1]
-    cosine, sine = math.cos(now.articulation), math.sin(now.articulation)
-    turned = np.array([[cosine, -sine], [sine, cosine]])  # from the tractor's axes to the implement's
-    behind = np.array([-0.5 * along, -rig.shares * across])
-    design[2:4, HITCH : HITCH + 2] = turned
-    design[2:4, HITCH + 2 : HITCH + 4] = -np.eye(2)
-    design[2:4, DELAY : DELAY + 2] = turned @ behind[:, :2]
-    design[2:4, DELAY + 2 : DELAY + 4] = -behind[:, 2:]
+        design[body, late] = -slopes.excess[body, LATENCIES]
+        design[2:4, late] = -of_gap[:, body, LATENCIES]
+
+
+def slopes_of(rig: Lengths, motion: Array, excess: Array) -> PairSlopes:
+    """Of both bodies: (2, …). motion: (2, 3), forward and lateral velocity, m/s, and yaw rate of their CGs.
+    excess: (2,), m."""
+    u, v, r = motion.T[:, :, None]
+    velocity = np.stack([u - r * rig.levers[:, :, 1], v + r * rig.levers[:, :, 0]], axis=-1)
+    return pair_slopes(rig.levers, rig.places, velocity, excess)
 
 
 @dataclass(slots=True)

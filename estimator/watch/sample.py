@@ -7,13 +7,13 @@ that was moved along its body. The watch learns them itself, beside the places.
 from dataclasses import dataclass
 
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.aligner import MOUNTS, Aligner
-from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity
-from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
-from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, Track, sample_at
+from tilth.estimator.pose.aligner import MOUNTS, WHEEL_HOLD_NS, Aligner
+from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity, hitch
+from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, sample_at
+from tilth.estimator.pose.roll_pitch import mean_of
+from tilth.estimator.rig.geometry import Vector, lever, wrap
+from tilth.estimator.rig.residuals import hitch_gap
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
-
-WHEEL_HOLD_NS = 250_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +57,9 @@ def sample(aligner: Aligner, t_ns: int) -> Sample | None:
     implement = _body(aligner, machine.implement, pairs[1], machine.implement.d.value, t_ns)
     if tractor is None or implement is None:
         return None
-    gap = (tractor.hitch[0] - implement.hitch[0], tractor.hitch[1] - implement.hitch[1])
+    gap = hitch_gap(tractor.hitch, implement.hitch, implement.heading)
     wheel = sample_at(aligner.wheel, t_ns, WHEEL_HOLD_NS)
-    return Sample(tractor, implement, rotate(gap, -implement.heading), wheel[0] if wheel else None)
+    return Sample(tractor, implement, gap, wheel[0] if wheel else None)
 
 
 Pair = tuple[Receiver, Receiver]
@@ -80,11 +80,11 @@ def _body(
 ) -> BodySample | None:
     """to_hitch: forward of the body's CG, m."""
     tracks = [aligner.tracks[receiver.mount.value] for receiver in pair]
-    roll, rate = _mean_roll(tracks, t_ns), _mean_rate(tracks, t_ns)
+    roll = mean_of(sample_at(track.rolls, t_ns, SLOW_HOLD_NS) for track in tracks)
+    rate = mean_of(track.yaw_rate_at(t_ns) for track in tracks)
     if roll is None or rate is None:
         return None
-    pitches = [found[0] for track in tracks if (found := sample_at(track.pitches, t_ns, SLOW_HOLD_NS))]
-    pitch = sum(pitches) / len(pitches) if pitches else 0.0
+    pitch = mean_of(sample_at(track.pitches, t_ns, SLOW_HOLD_NS) for track in tracks) or 0.0
     points = []
     for receiver, track in zip(pair, tracks, strict=True):
         place, velocity = track.position_at(t_ns), track.velocity_at(t_ns)
@@ -97,17 +97,5 @@ def _body(
     line = baseline(front, rear, 0.0)
     speed = cg_velocity(points, line.heading, rate, 0.0)
     assert speed is not None
-    middle = [(front.lever[k] + rear.lever[k]) / 2 for k in (0, 1)]
-    north, east = rotate((to_hitch - middle[0], -middle[1]), line.heading)
-    hitch = ((front.at[0] + rear.at[0]) / 2 + north, (front.at[1] + rear.at[1]) / 2 + east)
-    return BodySample(line.heading, line.excess, speed[0], speed[1], rate, roll, hitch)
-
-
-def _mean_roll(tracks: list[Track], t_ns: int) -> float | None:
-    found = [s[0] for track in tracks if (s := sample_at(track.rolls, t_ns, SLOW_HOLD_NS))]
-    return sum(found) / len(found) if found else None
-
-
-def _mean_rate(tracks: list[Track], t_ns: int) -> float | None:
-    found = [s[0] for track in tracks if (s := track.yaw_rate_at(t_ns))]
-    return sum(found) / len(found) if found else None
+    seen = hitch(front, rear, line.heading, to_hitch)
+    return BodySample(line.heading, line.excess, speed[0], speed[1], rate, roll, seen)

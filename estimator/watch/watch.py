@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.rig.residuals import UNDER_WAY
 from tilth.estimator.watch import wheel_speed
 from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words, key_of
 from tilth.estimator.watch.hypotheses import (
@@ -42,7 +43,6 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 
 EVENT: Final = EventKind.MOVED  # kind of the events
-SLOWEST: Final = 1.0  # m/s
 BLOCK: Final = 100  # samples (20 s)
 SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
 LEAST_BEFORE: Final = 6  # blocks before that, to compare with
@@ -102,7 +102,7 @@ class Found(NamedTuple):
 def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Found]:
     """Take one pose. Returns what was found moved with it."""
     speed = pose.tractor.forward_velocity
-    if speed is None or speed < SLOWEST or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
+    if speed is None or speed < UNDER_WAY or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
         return []
     now = sample(aligner, pose.t_ns - POSE_NS)
     if now is None:

@@ -24,16 +24,15 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.pose.aligner import POSE_NS, WHEEL_HOLD_NS, Aligner
 from tilth.estimator.pose.receiver_track import sample_at
+from tilth.estimator.rig.residuals import CRUISE, speed_off
 from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Pose
 from tilth.schemas.machine import Machine
 
-SLOWEST: Final = 1.5  # m/s
 STRAIGHT: Final = 0.1  # rad/s
 MOVING: Final = 0.3  # m/s
-HOLD_NS: Final = 250_000_000  # of the last wheel-based speed
 AVERAGE: Final = 20  # poses (4 s) whose speeds are averaged
 EACH: Final = 5  # poses (1 s) from one average to the next
 STEADY: Final = 0.3  # m/s, between slowest and fastest of them: else the delay of the wheels' speed matters
@@ -98,7 +97,7 @@ class RadiusFound(NamedTuple):
 
 def observe(state: WheelSpeedState, aligner: Aligner, pose: Pose) -> RadiusFound | None:
     """Take one pose. Returns what was found with it."""
-    wheels = sample_at(aligner.wheel_speeds, pose.t_ns, HOLD_NS)
+    wheels = sample_at(aligner.wheel_speeds, pose.t_ns, WHEEL_HOLD_NS)
     ground = pose.tractor.forward_velocity
     if any(flag.kind in WITHOUT_RTK and flag.of.startswith("tractor") for flag in pose.flags):
         ground = None
@@ -140,7 +139,7 @@ def _average(state: WheelSpeedState, now: Instant) -> float | None:
     """Logarithm of the mean ratio of the last 4 s, each second in which they were straight and steady."""
     ground, wheels, yaw_rate = now.ground, now.wheels, now.yaw_rate
     straight = yaw_rate is not None and abs(yaw_rate) < STRAIGHT
-    if ground is None or wheels is None or not straight or ground < SLOWEST:
+    if ground is None or wheels is None or not straight or ground < CRUISE:
         _begin_average(state)
         return None
     state.poses += 1
@@ -150,7 +149,7 @@ def _average(state: WheelSpeedState, now: Instant) -> float | None:
         return None
     if max(state.ground) - min(state.ground) > STEADY:
         return None
-    ratio = math.log(max(sum(state.wheels), 1e-3) / sum(state.ground))
+    ratio = speed_off(max(sum(state.wheels), 1e-3), sum(state.ground))
     return ratio if abs(ratio) < POSSIBLE else None
 
 

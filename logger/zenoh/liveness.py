@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass
 
+from tilth.estimator.pose.aligner import FIX_NS, LOST_NS
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.states import DeviceState
-
-LOST_NS = 1_500_000_000  # receivers send positions at 5 to 10 Hz, the slowest once a second
-FIX_NS = 5_000_000_000  # how long a fix type is believed that came once
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from tilth.estimator import fold
 from tilth.estimator.fold import State, initial, step
 from tilth.estimator.methods import estimators
 from tilth.estimator.methods.estimators import ESTIMATORS
-from tilth.estimator.pose.geometry import wrap
+from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.channels import CHANNEL, payload
 from tilth.schemas.flow import (

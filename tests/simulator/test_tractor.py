@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import geometry_of, rig_of
-from tilth.estimator.pose.geometry import lever, to_plane
+from tilth.estimator.pose.geometry import to_plane
+from tilth.estimator.rig.geometry import lever
 from tilth.schemas.flow import PARAMETERS, FixType, Mount
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from paths import ROOT
 
-from tilth.estimator.pose.geometry import lever, rotate, to_plane
+from tilth.estimator.pose.geometry import to_plane
+from tilth.estimator.rig.geometry import lever, rotate
 from tilth.schemas.flow import (
     Attitude,
     Fix,

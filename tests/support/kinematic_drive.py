@@ -67,7 +67,7 @@ def measurements(
 
 def _motion(plan: Plan, machine: Machine) -> np.ndarray:
     """Rows t, north and east of the rear axle, psi_t, psi_i, u, wheel angle, r_t, r_i; each STEP."""
-    base = machine.tractor.a.value + machine.tractor.b.value
+    base = machine.tractor.wheelbase
     back = machine.tractor.c.value - machine.tractor.b.value
     drawbar = machine.implement.d.value + machine.implement.e.value
     north = east = psi = psi_i = u = delta = 0.0

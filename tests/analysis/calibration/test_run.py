@@ -33,7 +33,7 @@ def test_how_the_wheels_follow_is_told_by_the_wheel_angle_of_the_found_file(driv
     heard = read(
         [drive], MACHINE.model_copy(update={"wheel_angle": sensor}), {}, print, lambda done, of: None
     )
-    base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+    base = MACHINE.tractor.wheelbase
     asked = truth["delta"] + 0.3 * np.gradient(truth["delta"], truth["t_ns"] * 1e-9)
     for t in np.arange(1.0, 158.0, 0.1):
         at_ns = heard.first_ns + round(t * 1e9)

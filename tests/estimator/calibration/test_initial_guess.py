@@ -159,7 +159,7 @@ def test_one_circle_at_one_angle_shows_that_the_wheel_is_read(
     that jumps is one in the wrong byte order. Both rad."""
     made = measurements([(20, 0.0, 0), (60, 3.0, 0), (70, 1.4, -15)])
     view, rng = calibrating._initial_guess(MACHINE, _drive(MACHINE, made))[2], np.random.default_rng(3)
-    base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+    base = MACHINE.tractor.wheelbase
     view = replace(view, wheel=view.wheel + rng.choice([-jumps, jumps], view.wheel.shape))
     rate = view.rate[:, 0] + way_sd / base * view.along[:, 0] * rng.normal(size=view.wheel.shape)
     faults = finding.wheel_faults(*initial_guess.wheel_by_the_way(view, base, rate))

@@ -16,7 +16,7 @@ from tilth.schemas.machine import Machine
 from tilth.simulator.receivers import _by_the_linkage, _of_the_kingpin
 from tilth.simulator.scenario import Wheel
 
-BASE = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+BASE = MACHINE.tractor.wheelbase
 GENTLE: Plan = ((60, 3.0, 0), (30, 3.0, 3), (30, 3.0, -3), (60, 3.5, 0))
 LONG: Plan = (*GUIDED, (30, 1.4, 10), (30, 1.4, -10), (25, 1.4, 30), (25, 1.4, -30))
 

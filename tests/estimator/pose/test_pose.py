@@ -8,9 +8,10 @@ from circle import ORIGIN_DEG, START_NS, Circle, demo_machine
 
 from tilth.estimator.pose import aligner
 from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.geometry import to_plane, wrap
+from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.roll_pitch import roll_pitch_at
+from tilth.estimator.rig.geometry import wrap
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -258,6 +259,15 @@ def test_a_receiver_that_is_left_out_leans_no_body() -> None:
     aligner.leave_out(state, {Mount.TRACTOR_REAR.value})
     told = roll_pitch_at(state, 0, t_ns)
     assert abs(told.roll) < math.radians(0.5) < abs(tilted.roll - told.roll)
+
+
+def test_a_long_slow_bend_is_no_pair_that_points_aside() -> None:
+    """The axle goes where the body points; the CG, well ahead of it, goes outwards by the yaw rate."""
+    machine = demo_machine(**{"b = 1.2\n": "b = 2.5\n"})
+    circle = Circle(machine, speed=1.55, yaw_rate=0.049, lateral_velocity=0.049 * 2.5, articulation=0.105)
+    state, out = run(circle, 30.0)
+    assert abs(state.long_term.crab_angle[0].value) < 0.005
+    assert not any(flag.kind in {FlagKind.MOVED, FlagKind.DOUBTFUL} for pose in out for flag in pose.flags)
 
 
 def test_standstill_and_reverse_are_recognised() -> None:

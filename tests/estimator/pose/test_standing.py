@@ -13,6 +13,7 @@ from tilth.estimator.fold import State, initial, step
 from tilth.estimator.pose import aligner, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.standing import StandingCheck
+from tilth.estimator.rig.residuals import UNDER_WAY
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import BodyPose, Estimate, Event, Flag, Frame, Pose, Status
 from tilth.schemas.notices import Notice
@@ -136,7 +137,7 @@ def feed(
 ) -> tuple[Aligner, list[tuple[str, Notice]]]:  # fmt: skip
     """A rig that turns at rate(t), with readings value(t) of one quantity at 50 Hz."""
     rig, state, heading, events = aligner.initial(MACHINE), StandingCheck(), 0.0, list[tuple[str, Notice]]()
-    rig.moving = u >= aligner.UNDER_WAY
+    rig.moving = u >= UNDER_WAY
     for k in range(round(seconds * 5)):
         t = k / 5
         for j in range(10):
@@ -175,7 +176,7 @@ def test_a_rig_that_stands_or_drives_straight_is_not_accused(quantity: str, u: f
 @pytest.mark.parametrize("turn", [0.0, 0.05, 0.3])
 def test_a_coarse_wheel_angle_that_is_held_is_not_accused(quantum: float, turn: float) -> None:
     """Wheels that are turned and then held for long: the path follows by and by."""
-    wheelbase = MACHINE.tractor.a.value + MACHINE.tractor.b.value
+    wheelbase = MACHINE.tractor.wheelbase
 
     def angle(t: float) -> float:
         return turn * min(1.0, (t % 20.0) / 0.7)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models import nonlinear
 from tilth.estimator.pose import aligner
 from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.geometry import rotate, to_plane
+from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import (
@@ -34,6 +34,7 @@ from tilth.estimator.record.record import (
     Segment,
 )
 from tilth.estimator.record.record_builder import RecordState
+from tilth.estimator.rig.geometry import rotate
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import (
     Attitude,

@@ -269,7 +269,7 @@ def test_a_value_in_place_of_the_machine_files(name: str) -> None:
             assert new.implement.d.value == pytest.approx(MACHINE.implement.d.value - 0.12)
         case "pair_tractor" | "pair_implement":
             (front, rear), body = changed.values(), PAIRS.index(name)
-            span = RIG.spans[body]
+            span = float(RIG.levers[body, 0, 0] - RIG.levers[body, 1, 0])
             assert (front[1] - rear[1]) / span == pytest.approx(amounts[0])
             assert front[0] == rear[0] == 0.0
         case _:

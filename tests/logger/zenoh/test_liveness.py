@@ -3,7 +3,8 @@
 import pytest
 from logs import MACHINE
 
-from tilth.logger.zenoh.liveness import LOST_NS, Sensors
+from tilth.estimator.pose.aligner import LOST_NS
+from tilth.logger.zenoh.liveness import Sensors
 from tilth.schemas.flow import Mount, Origin, Position, WheelAngle, YawRate
 from tilth.schemas.states import DeviceState
 
