@@ -30,7 +30,7 @@ from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, 
 from tilth.estimator.calibration.changes import Changes, Linkage, applied, heard_after, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.linkage import KINGPIN
-from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.estimator.calibration.told_file import told_machine
 from tilth.estimator.calibration.verdict import TOLD, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
@@ -276,7 +276,7 @@ def _table(errors: dict[str, list[tuple[float, float]]]) -> None:
     print("| number | within 2 sd | median sd | wanted | rms error | rms error/sd, mean error/sd |")
     print("|---|---|---|---|---|---|")
     every: list[float] = []
-    for number in NUMBERS:
+    for number in SOUGHT:
         for key in (number.name, f"planar {number.name}", f"spatial {number.name}"):
             rows = np.array(errors.get(key, [])).reshape(-1, 2)
             if not len(rows):

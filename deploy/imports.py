@@ -35,6 +35,7 @@ HOLDS = {
     "kernel_digest": "what a kernel reads",
     "state_json": "stored state",
     "models": "how the rig moves",
+    "rig": "its numbers",
     "pose": "both bodies, now",
     "watch": "what was moved",
     "record": "data on ticks",

@@ -18,7 +18,7 @@ from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 

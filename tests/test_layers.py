@@ -14,7 +14,18 @@ LAYERS = (
     "adaptive_guidance", "cli",
 )  # fmt: skip
 ROOMS = {
-    "estimator": ("models", "pose", "watch", "record", "filters", "calibration", "results", "methods", ""),
+    "estimator": (
+        "models",
+        "rig",
+        "pose",
+        "watch",
+        "record",
+        "filters",
+        "calibration",
+        "results",
+        "methods",
+        "",
+    ),
     "logger": ("can", "log", "zenoh", "", "checks"),
     "replay": ("readers", ""),
     "simulator": ("spatial", ""),

@@ -12,6 +12,7 @@ from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import latency
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.plausibility import SURVEY_SDS, pair_limits
+from tilth.estimator.rig.numbers import NUMBERS
 from tilth.schemas.flow import WITHOUT_RTK, Estimate, FlagKind, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import COEFFICIENT
@@ -21,14 +22,7 @@ LATENCY_CHI_SQUARE: Final = 30.0  # of up to three differences of latency
 PARKED_LIMIT: Final = 0.2  # m, largest error of the hitch while the rig stands or creeps, or SURVEY_SDS
 PARKED_POSES: Final = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
 
-KEYS: Final = {
-    "wheel_zero": "wheel_angle.zero or offset", "wheel_gain": "wheel_angle.scale or gain",
-    "latency": "receiver.latency or wheel_angle.delay", "pair_t": "receiver.position on the tractor",
-    "pair_i": "receiver.position on the implement", "aside_i": "receiver.position (right)",
-    "a": "tractor.a", "b": "tractor.b", "c": "tractor.c", "d": "implement.d", "e": "implement.e",
-    "m_i": "implement.mass or tractor.mass", "I_t": "tractor.yaw_inertia or tractor.mass",
-    "I_i": "implement.yaw_inertia or implement.mass",
-}  # fmt: skip
+KEYS: Final = {row.name: row.key for row in NUMBERS if row.open_sd}
 _PAIR: Final = "length of the {}'s pair"
 _OFFSETS: Final = (_PAIR.format("tractor"), _PAIR.format("implement"), "hitch, along", "hitch, across")
 _BODY: Final = {"pair_t": "tractor", "pair_i": "implement"}

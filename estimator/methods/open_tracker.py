@@ -20,38 +20,15 @@ from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
+from tilth.estimator.rig.numbers import NUMBERS, names
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-OPEN_SD: Final = {
-    "wheel_zero": math.radians(5.0), "wheel_gain": 0.4, "latency": 0.1, "pair_t": math.radians(5.0),
-    "pair_i": math.radians(5.0), "aside_i": 0.5, "a": 0.4, "b": 0.4, "c": 0.4, "d": 0.4, "e": 0.5,
-    "m_i": 0.4, "I_t": 0.4, "I_i": 0.4,
-}  # fmt: skip
-"""Prior sd of each unknown that is left open, in its own unit (unknowns.NAMES)."""
-ALLOWED_SD: Final = {
-    "wheel_zero": math.radians(0.3), "wheel_gain": 0.05, "latency": 0.02, "pair_t": math.radians(0.1),
-    "pair_i": math.radians(0.1), "aside_i": 0.03, "a": 0.03, "b": 0.03, "c": 0.03, "d": 0.02, "e": 0.03,
-    "m_i": 0.35, "I_t": 0.08, "I_i": 0.1,
-}  # fmt: skip
-"""Sd by which a right file may differ from the result, besides the file's sds: error of the model. From
-drives with right files. What tells of the implement's mass itself are small forces between the bodies: in
-fields with headland turns it came out at half and less, in 4 of 10 on the planar plant and 1 of 4 in space,
-and the right file was doubted to the end. Not to learn masses in sharp turns at all ends more such doubts:
-two of sixteen on a stranger's fields, where numbers of the tracker then were 3 and 4 sds off. There the doubt
-was right."""
-CONFIRMING_SD: Final = {
-    "wheel_zero": math.radians(0.6), "wheel_gain": 0.16, "latency": 0.06, "pair_t": math.radians(0.6),
-    "pair_i": math.radians(0.6), "aside_i": 0.1, "a": 0.28, "b": 0.15, "c": 0.08, "d": 0.08, "e": 0.2,
-    "I_t": 0.25,
-}  # fmt: skip
-"""Largest sds with which a gross error would show; only then can the file be confirmed."""
-GROSS: Final = {"a": 1.0, "I_t": math.log(2.0)}
-"""Gross errors, m and a logarithm, that are told apart if all other numbers are right: a metre on the
-wheelbase and twice the inertia have the same effect, and either changes the stiffnesses in proportion."""
+OPEN: Final = sorted((row for row in NUMBERS if row.open_sd), key=lambda row: AT[row.name])
+"""Numbers of the rig that are left open."""
 CERTAIN: Final = 2.33  # sds by which the data must be off each of these: one gross error in a hundred passes
-NAMES: Final = tuple(OPEN_SD)
+NAMES: Final = names(OPEN)
 PLACES: Final = [AT[name] for name in NAMES]
 TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
 MEMORY: Final = 2400.0  # segments that were learned from (8 min) over which the result is forgotten
@@ -67,9 +44,9 @@ ROUGH: Final = 0.007  # rad
 """Unevenness above which what is found may be a divergence: on ground of 3 cm rms it found inertias twice as
 large, or the front axle at the CG, in 4 of 40 drives with right files, at 0.008 to 0.016. On 1 cm it is at
 most 0.006, with wrong files too."""
-STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
-OF_PAIRS: Final = STRAIGHT[1:]
-_STEERED: Final = [*NEED_STEERING, *(AT[name] for name in NAMES if name not in STRAIGHT)]
+IN_ROWS: Final = names(row for row in OPEN if row.in_rows)
+OF_PAIRS: Final = tuple(name for name in IN_ROWS if name != "wheel_zero")
+_STEERED: Final = [*NEED_STEERING, *(AT[row.name] for row in OPEN if not row.in_rows)]
 
 
 class Misfit(NamedTuple):
@@ -83,11 +60,11 @@ class Misfit(NamedTuple):
 
 
 def initial(machine: Machine) -> TrackerState:
-    """The state before any data, at the values of the machine file, with the prior sds of OPEN_SD."""
+    """The state before any data, at the values of the machine file, as wide as people are wrong."""
     state = tracker.initial(machine)
     sd = state.prior_sd
-    for name, ratio in OPEN_SD.items():
-        sd[AT[name]] = max(sd[AT[name]], ratio)
+    for row in OPEN:
+        sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
     sd[SIX] = np.maximum(sd[SIX], TYRE_LOG_SD)
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
@@ -142,24 +119,26 @@ def misfit(state: TrackerState, machine: Machine) -> Misfit:
 def allowed(machine: Machine) -> Array:
     """Sd by which a right file may differ from the result, [n] in the order of NAMES."""
     _, stated = unknowns.prior(machine)
-    shape = unknowns.base_geometry(machine)
-    out = np.array([math.hypot(stated[AT[name]], ALLOWED_SD[name]) for name in NAMES])
-    centres = {"a": 0, "b": 0, "c": 0, "d": 1, "e": 1}
-    for name, body in centres.items():
-        length = 1.0 if name == "e" else float(shape["abcde".index(name)])
-        cg_sd = (machine.tractor, machine.implement)[body].cg_sd / length
-        out[NAMES.index(name)] = math.hypot(out[NAMES.index(name)], cg_sd)
+    out = np.array([math.hypot(stated[AT[row.name]], row.allowed_sd) for row in OPEN])
+    for k, row in enumerate(OPEN):
+        if row.by_cg:
+            body = machine.tractor if row.key.startswith("tractor.") else machine.implement
+            length = 1.0 if row.value is None else row.value(machine)
+            out[k] = math.hypot(out[k], body.cg_sd / length)
     return out
 
 
 def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
     """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
-    ratio = {name: float(now.sd[NAMES.index(name)]) / limit for name, limit in CONFIRMING_SD.items()}
-    for name, gross in GROSS.items():
-        k = NAMES.index(name)
-        size = math.log1p(gross / machine.tractor.a.value) if name == "a" else gross
-        off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
-        ratio[name] = max(ratio[name], CERTAIN / max(off, 1e-3))
+    ratio: dict[str, float] = {}
+    for k, row in enumerate(OPEN):
+        if not row.confirming_sd:
+            continue
+        ratio[row.name] = float(now.sd[k]) / row.confirming_sd
+        if row.gross:
+            size = math.log1p(row.gross / (1.0 if row.value is None else row.value(machine)))
+            off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
+            ratio[row.name] = max(ratio[row.name], CERTAIN / max(off, 1e-3))
     return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])
 
 

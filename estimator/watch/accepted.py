@@ -2,71 +2,29 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Final
 
-from tilth.estimator.watch.suspects import DRAWBAR, PAIRS, WHEEL
-from tilth.schemas.flow import Accepted, Mount
-from tilth.schemas.machine import Machine, Quantity, Receiver
+from tilth.estimator.rig.adjustments import Amount
+from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESIS, PAIRS, WHEEL, WHEEL_SPEED, changed
+from tilth.schemas.flow import Accepted
+from tilth.schemas.machine import Machine, Receiver
 from tilth.schemas.spread import plus_minus
-
-WHEEL_SPEED: Final = "wheel_speed"  # its amounts: wheel-based over ground speed at no slip, now and before
-KNOWN: Final = (*(mount.value for mount in Mount), *PAIRS, WHEEL, DRAWBAR, WHEEL_SPEED)
-"""All that may be found moved, and accepted."""
 
 
 def corrected(machine: Machine, accepted: Iterable[Accepted]) -> Machine:
     """The machine file with the accepted values. Raises ValueError for what it does not have."""
     for one in accepted:
-        machine = _corrected(machine, one)
+        machine = changed(machine, _amounts(one))
     return machine
 
 
-def _corrected(machine: Machine, one: Accepted) -> Machine:
-    if one.what == WHEEL:
-        zero, (angle,), (sd,) = machine.wheel_angle.zero, one.amounts, one.sds
-        slipped = Quantity(value=zero.value + math.degrees(angle), sd=math.hypot(zero.sd, math.degrees(sd)))
-        wheel = machine.wheel_angle.model_copy(update={"zero": slipped})
-        return machine.model_copy(update={"wheel_angle": wheel})
-    if one.what == WHEEL_SPEED:
-        factor = Quantity(value=one.amounts[0], sd=one.sds[0])
-        tractor = machine.tractor.model_copy(update={"wheel_speed_factor": factor})
-        return machine.model_copy(update={"tractor": tractor})
-    if one.what == DRAWBAR:
-        (amount,), (sd,) = one.amounts, one.sds
-        d = machine.implement.d
-        d = Quantity(value=d.value - amount, sd=math.hypot(d.sd, sd))
-        return machine.model_copy(update={"implement": machine.implement.model_copy(update={"d": d})})
-    if one.what in PAIRS:
-        (angle,), (sd,) = one.amounts, one.sds
-        front, rear = _pair(machine, PAIRS.index(one.what))
-        half = (front.position[0] - rear.position[0]) / 2
-        moved = {front.mount: (0.0, angle * half, sd * half), rear.mount: (0.0, -angle * half, sd * half)}
-        return _with_receivers(machine, moved)
-    if one.what not in KNOWN:
+def _amounts(one: Accepted) -> dict[str, Amount]:
+    """By number of the rig. One sd holds for all that changes together."""
+    row = HYPOTHESIS.get(one.what)
+    if row is None or row.absorbed:
         raise ValueError(f"{one.what} is nothing that can be accepted")
-    forward, right = one.amounts
-    return _with_receivers(machine, {Mount(one.what): (forward, right, max(one.sds))})
-
-
-def _pair(machine: Machine, body: int) -> tuple[Receiver, Receiver]:
-    """Front and rear receiver."""
-    by_mount = {receiver.mount: receiver for receiver in machine.receiver}
-    front, rear = (by_mount[mount] for mount in tuple(Mount)[2 * body : 2 * body + 2])
-    return front, rear
-
-
-def _with_receivers(machine: Machine, moved: dict[Mount, tuple[float, float, float]]) -> Machine:
-    """moved: forward, right, sd, m."""
-    receivers = []
-    for receiver in machine.receiver:
-        if receiver.mount in moved:
-            forward, right, sd = moved[receiver.mount]
-            x, y, z = receiver.position
-            sd = math.hypot(receiver.survey_sd, sd)
-            update = {"position": (x + forward, y + right, z), "survey_sd": sd}
-            receiver = receiver.model_copy(update=update)
-        receivers.append(receiver)
-    return machine.model_copy(update={"receiver": receivers})
+    amounts = [Amount(row.sign * by) for by in one.amounts]
+    amounts[0] = amounts[0]._replace(sd=max(one.sds[: len(row.numbers)]), besides=True)
+    return dict(zip(row.numbers, amounts, strict=False))
 
 
 def in_words(what: str, amounts: Sequence[float], sds: Sequence[float]) -> str:
@@ -90,17 +48,6 @@ def _tyres_in_words(factors: Sequence[float], sds: Sequence[float]) -> str:
     return f"the tyres' radius has changed by {larger}: tractor.wheel_speed_factor"
 
 
-def key_of(what: str) -> str:
-    """The key of the machine file that it changes."""
-    if what == WHEEL:
-        return "wheel_angle.zero"
-    if what == WHEEL_SPEED:
-        return "tractor.wheel_speed_factor"
-    if what == DRAWBAR:
-        return "implement.d or tractor.c"
-    return f"receiver.{what}.position"
-
-
 def line_of(machine: Machine, what: str) -> str:
     """What to write into the machine file, with the values that `machine` has."""
     if what == WHEEL:
@@ -112,8 +59,8 @@ def line_of(machine: Machine, what: str) -> str:
     if what == DRAWBAR:
         d = machine.implement.d
         return f"[implement] d = {{ value = {d.value:.3f}, sd = {d.sd:.3f} }}"
-    mounts = _pair(machine, PAIRS.index(what)) if what in PAIRS else [_one(machine, what)]
-    return "; ".join(map(_receiver_line, mounts))
+    moved = [r for r in machine.receiver if what in (r.mount.value, f"pair_{r.mount.body}")]
+    return "; ".join(map(_receiver_line, moved))
 
 
 def _receiver_line(receiver: Receiver) -> str:
@@ -125,7 +72,3 @@ def acceptance(machine: Machine, accepted: Accepted) -> str:
     """For the event; machine: with the value."""
     what = in_words(accepted.what, accepted.amounts, accepted.sds)
     return f"accepted: {what}; for the machine file: {line_of(machine, accepted.what)}"
-
-
-def _one(machine: Machine, mount: str) -> Receiver:
-    return next(receiver for receiver in machine.receiver if receiver.mount.value == mount)

@@ -15,29 +15,35 @@ from numpy.typing import NDArray
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.numbers import NUMBERS
 from tilth.estimator.watch.sample import BodySample, Sample
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-CONSTANTS: Final[dict[str, tuple[float, float]]] = {
-    "length_t": (0.3, 0.01), "length_i": (0.3, 0.01),  # m: excess of a pair's length
-    "hitch_t_forward": (0.3, 0.01), "hitch_t_right": (0.3, 0.01),  # m: where the tractor's antennas have it
-    "hitch_i_forward": (0.3, 0.01), "hitch_i_right": (0.3, 0.01),  # m: and the implement's
-    "late_tractor_front": (0.06, 0.003), "late_tractor_rear": (0.06, 0.003),  # s
-    "late_implement_front": (0.06, 0.003), "late_implement_rear": (0.06, 0.003),  # s
-    "crab_t": (0.05, 0.002), "crab_i": (0.05, 0.002),  # rad: way of the axle minus heading of the pair
+SOIL: Final[dict[str, tuple[float, float]]] = {
     "crab_per_turn_t": (0.03, 0.01), "crab_per_turn_i": (0.03, 0.01),  # rad per m/s^2 of lateral acceleration
     "crab_per_roll_t": (0.3, 0.1), "crab_per_roll_i": (0.3, 0.1),  # rad per rad of roll
-    "zero": (0.1, 0.002),  # rad: wheels' reading when straight
-    "gain": (0.3, 0.03), "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
+    "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
 }  # fmt: skip
-"""Prior sd of each constant; sd by which it may drift while nothing is moved: other soil, other slope."""
+"""Prior sd of each effect of soil and slope; sd by which it may drift."""
+CONSTANTS: Final = {row.name: (row.watch_sd, row.drift_sd) for row in NUMBERS if row.watch_sd} | SOIL
+"""The same of the numbers of the rig that samples tell of: by how much each is more than the file says.
+c, d and aside are where the antennas of a body have the hitch."""
 NAMES: Final = tuple(CONSTANTS)
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 N: Final = len(NAMES)
-LENGTH, HITCH, LATE = AT["length_t"], AT["hitch_t_forward"], AT["late_tractor_front"]
-CRAB, TURN, ROLL, ZERO = AT["crab_t"], AT["crab_per_turn_t"], AT["crab_per_roll_t"], AT["zero"]
+
+
+def _at(*names: str) -> list[int]:
+    return [AT[name] for name in names]
+
+
+LONGER: Final = _at("longer_t", "longer_i")
+HITCH: Final = _at("c", "aside_t", "d", "aside_i")
+LATE: Final = _at(*(f"latency_{mount.value}" for mount in MOUNTS))
+PAIR, TURN, ROLL = (_at(f"{name}_t", f"{name}_i") for name in ("pair", "crab_per_turn", "crab_per_roll"))
+WHEEL_ROW: Final = _at("wheel_zero", "wheel_gain", "wheel_per_turn", "wheel_per_roll")
 
 KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two crab angles, wheels
 CORRELATED: Final = 25.0  # poses (5 s) whose position errors count as one, as in pose/latency.py
@@ -98,14 +104,14 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
         if _is_gentle(body):
             u, r = body.forward_velocity, body.yaw_rate
             row = design[4 + k]
-            row[CRAB + k], row[TURN + k], row[ROLL + k] = 1.0, u * r, body.roll
+            row[[PAIR[k], TURN[k], ROLL[k]]] = -1.0, u * r, body.roll
             measured[4 + k] = (body.lateral_velocity + r * rig.axles[k]) / u
             there[4 + k] = True
     wheel = now.wheel_angle
     if there[4] and wheel is not None and abs(wheel) < SMALL_ANGLE:
         u, r = now.tractor.forward_velocity, now.tractor.yaw_rate
         path = math.atan(rig.wheelbase * r / u)
-        design[6, ZERO : ZERO + 4] = 1.0, path, u * r, now.tractor.roll
+        design[6, WHEEL_ROW] = 1.0, path, u * r, now.tractor.roll
         measured[6] = wheel - path
         there[6] = True
     kinds = np.flatnonzero(there).astype(np.int64)
@@ -129,15 +135,15 @@ def _velocities(rig: Lengths, bodies: tuple[BodySample, BodySample]) -> tuple[Ar
 def _lengths_and_gap(rig: Lengths, now: Sample, along: Array, across: Array, design: Array) -> None:
     """The first four rows. A receiver that is s seconds late reports a point s times its velocity behind."""
     for body in (0, 1):
-        design[body, LENGTH + body] = 1.0
-        design[body, LATE + 2 * body : LATE + 2 * body + 2] = -along[2 * body], along[2 * body + 1]
+        design[body, LONGER[body]] = 1.0
+        design[body, LATE[2 * body : 2 * body + 2]] = -along[2 * body], along[2 * body + 1]
     cosine, sine = math.cos(now.articulation), math.sin(now.articulation)
     turned = np.array([[cosine, -sine], [sine, cosine]])  # from the tractor's axes to the implement's
     behind = np.array([-0.5 * along, -rig.shares * across])
-    design[2:4, HITCH : HITCH + 2] = turned
-    design[2:4, HITCH + 2 : HITCH + 4] = -np.eye(2)
-    design[2:4, LATE : LATE + 2] = turned @ behind[:, :2]
-    design[2:4, LATE + 2 : LATE + 4] = -behind[:, 2:]
+    design[2:4, HITCH[:2]] = turned
+    design[2:4, HITCH[2:]] = np.diag([1.0, -1.0])
+    design[2:4, LATE[:2]] = turned @ behind[:, :2]
+    design[2:4, LATE[2:]] = -behind[:, 2:]
 
 
 @dataclass(slots=True)

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.numbers import HYPOTHESES, PAIRS, WHEEL_SPEED, Hypothesis
 from tilth.estimator.watch.evidence import (
-    CRAB,
+    AT,
     HITCH,
-    LATE,
-    LENGTH,
-    ZERO,
+    LONGER,
+    PAIR,
     Evidence,
     Lengths,
     N,
@@ -31,17 +31,13 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 
 SMALL: Final = 1e-9  # keeps a direction of which the samples tell nothing from a division by zero
-WHEEL: Final = "wheel_angle"
-DRAWBAR: Final = "drawbar"
-PAIRS: Final = ("pair_tractor", "pair_implement")
-LATENCIES: Final = tuple(f"latency_{mount.value}" for mount in MOUNTS)
 
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
     """Something that may have been moved."""
 
-    name: str  # a mount, or one of PAIRS, WHEEL, DRAWBAR, LATENCIES
+    name: str  # a row of HYPOTHESES
     directions: Array  # (N, m): change of the constants by each of its m amounts, m or rad or s
 
 
@@ -58,16 +54,20 @@ class Explanation(NamedTuple):
 def suspects(machine: Machine) -> tuple[Suspect, ...]:
     """All of a machine file with four receivers."""
     rig = lengths(machine)
-    found = [Suspect(mount.value, _moved(rig, k)) for k, mount in enumerate(MOUNTS)]
-    found += [Suspect(name, _turned(rig, body)) for body, name in enumerate(PAIRS)]
-    found += [_one(WHEEL, ZERO), _one(DRAWBAR, HITCH + 2)]
-    return (*found, *(_one(name, LATE + k) for k, name in enumerate(LATENCIES)))
+    receivers = {mount.value: _moved(rig, k) for k, mount in enumerate(MOUNTS)}
+    pairs = {name: _turned(rig, body) for body, name in enumerate(PAIRS)}
+    return tuple(
+        Suspect(row.name, (receivers | pairs)[row.name] if row.name in receivers | pairs else _alone(row))
+        for row in HYPOTHESES
+        if row.name != WHEEL_SPEED
+    )
 
 
-def _one(name: str, at: int) -> Suspect:
+def _alone(row: Hypothesis) -> Array:
+    """What samples tell of directly."""
     directions = np.zeros((N, 1))
-    directions[at, 0] = 1.0
-    return Suspect(name, directions)
+    directions[AT[row.numbers[0]], 0] = row.sign
+    return directions
 
 
 def _moved(rig: Lengths, k: int) -> Array:
@@ -75,8 +75,8 @@ def _moved(rig: Lengths, k: int) -> Array:
     body, front = k // 2, k % 2 == 0
     sign = 1.0 if front else -1.0
     out = np.zeros((N, 2))
-    out[LENGTH + body, 0], out[HITCH + 2 * body, 0] = sign, 0.5
-    out[HITCH + 2 * body + 1, 1], out[CRAB + body, 1] = rig.shares[k], -sign / rig.spans[body]
+    out[LONGER[body], 0], out[HITCH[2 * body], 0] = sign, 0.5 if body == 0 else -0.5
+    out[HITCH[2 * body + 1], 1], out[PAIR[body], 1] = rig.shares[k], sign / rig.spans[body]
     return out
 
 

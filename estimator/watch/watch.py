@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.estimator.watch import wheel_speed
-from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words, key_of
+from tilth.estimator.watch.accepted import in_words
 from tilth.estimator.watch.evidence import (
     KINDS,
     Evidence,
@@ -25,16 +26,7 @@ from tilth.estimator.watch.evidence import (
     rows,
 )
 from tilth.estimator.watch.sample import sample
-from tilth.estimator.watch.suspects import (
-    DRAWBAR,
-    LATENCIES,
-    PAIRS,
-    WHEEL,
-    Explanation,
-    judge,
-    posterior,
-    suspects,
-)
+from tilth.estimator.watch.suspects import Explanation, judge, posterior, suspects
 from tilth.estimator.watch.wheel_speed import WheelSpeedState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, EventKind, Mount, Pose
 from tilth.schemas.machine import Machine
@@ -52,8 +44,6 @@ RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
 TWICE: Final = 2  # blocks in a row
 NEARLY: Final = 0.6  # share of the chi-square of a latency that may be a receiver
 CLEAR: Final = 3  # blocks in a row after which it is said although a rival is left
-LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.007)  # rad, m, rad
-LEAST_MOVED: Final = 0.025  # m, of a receiver: it turns its pair by half a degree
 SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
 
 
@@ -226,12 +216,12 @@ def _set(moved: Moved, explanation: Explanation) -> None:
 def _names(explanations: list[Explanation]) -> list[str]:
     """What explains it about as well as the best does."""
     least = explanations[0].chi_square - RIVAL
-    return [v.name for v in explanations if v.chi_square > least and v.name not in LATENCIES]
+    return [v.name for v in explanations if v.chi_square > least and not HYPOTHESIS[v.name].absorbed]
 
 
 def _like_another(explanations: list[Explanation]) -> bool:
     """Whether something that is no latency explains it nearly as well as the latency that does best."""
-    others = [v.chi_square for v in explanations if v.name not in LATENCIES]
+    others = [v.chi_square for v in explanations if not HYPOTHESIS[v.name].absorbed]
     return max(others) > NEARLY * explanations[0].chi_square
 
 
@@ -241,14 +231,14 @@ def _suspect(state: WatchState, machine: Machine, since: int, explanations: list
     state.suspected_blocks += 1
     if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
         return []
-    if first.name in LATENCIES and _like_another(explanations):
+    if HYPOTHESIS[first.name].absorbed and _like_another(explanations):
         return []  # a receiver that is further forward looks alike until it is driven at another speed
     state.suspected_blocks = 0
     before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
     _absorb(state, machine, since, before, first)
     for moved in state.moved:
         moved.followed = False
-    if first.name in LATENCIES:  # the poses learn it too
+    if HYPOTHESIS[first.name].absorbed:  # the poses learn it too
         return []
     known = next((moved for moved in state.moved if first.name in moved.names), None)
     if known is None:
@@ -265,9 +255,7 @@ def _suspect(state: WatchState, machine: Machine, since: int, explanations: list
 
 
 def _matters(explanation: Explanation) -> bool:
-    if explanation.name in LATENCIES:
-        return True
-    return float(np.linalg.norm(explanation.amounts)) > LEAST.get(explanation.name, LEAST_MOVED)
+    return float(np.linalg.norm(explanation.amounts)) > HYPOTHESIS[explanation.name].least
 
 
 def _absorb(state: WatchState, machine: Machine, since: int, before: Evidence, found: Explanation) -> None:
@@ -312,7 +300,7 @@ def left_out(state: WatchState) -> frozenset[str]:
 def contradictions(state: WatchState) -> dict[str, str]:
     """Key of the machine file -> message, of what has been moved and cannot be done without."""
     out = left_out(state)
-    return {key_of(m.names[0]): f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
+    return {HYPOTHESIS[m.names[0]].key: f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
 
 
 def describe(moved: Moved) -> str:

@@ -26,7 +26,8 @@ from typing import Final, NamedTuple
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
 from tilth.estimator.pose.receiver_track import sample_at
-from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words
+from tilth.estimator.rig.numbers import WHEEL_SPEED
+from tilth.estimator.watch.accepted import in_words
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Pose
 from tilth.schemas.machine import Machine
 

@@ -12,8 +12,9 @@ from logs import MACHINE
 from loopback import records_of, rig, until
 
 from tilth.cli import main
+from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.watch.evidence import Evidence, N
-from tilth.estimator.watch.suspects import WHEEL, judge, posterior
+from tilth.estimator.watch.suspects import judge, posterior
 from tilth.estimator.watch.watch import Moved, directions_of
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock

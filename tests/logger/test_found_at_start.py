@@ -18,8 +18,8 @@ from loopback import numbered, rig
 from tilth.estimator import fold
 from tilth.estimator.fold import save_learned
 from tilth.estimator.methods import pem
+from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.watch.evidence import Evidence
-from tilth.estimator.watch.suspects import WHEEL
 from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.daemon import Daemon
@@ -71,7 +71,7 @@ LYING_THERE: dict[str, Callable[[Path], object]] = {
     "braces": lambda path: path.write_text('{"a":' * 100_000),
     "no text": lambda path: path.write_bytes(bytes(range(256))),
     "a file of 100 MB": _large,
-    "a long number": lambda path: path.write_text('{"format": 1, "utc_ns": ' + "9" * 5000 + "}"),
+    "a long number": lambda path: path.write_text('{"format": 2, "utc_ns": ' + "9" * 5000 + "}"),
 }
 
 

@@ -18,10 +18,10 @@ from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
 from tilth.estimator.methods.consistency import Finding
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
+from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import DOUBLES_S
 from tilth.estimator.watch.evidence import Evidence
-from tilth.estimator.watch.suspects import WHEEL
 from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
@@ -221,7 +221,7 @@ def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str,
 @pytest.mark.parametrize(
     "change",
     [
-        lambda plain: {**plain, "format": 2},
+        lambda plain: {**plain, "format": 3},
         lambda plain: {k: v for k, v in plain.items() if k != "sections"},
         lambda plain: {**plain, "methods": {"pem": {"mean": 5}}},
         lambda plain: {**plain, "methods": []},

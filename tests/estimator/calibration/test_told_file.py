@@ -10,7 +10,7 @@ from logs import MACHINE
 
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.changes import Changes
-from tilth.estimator.calibration.priors import NUMBER
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.estimator.calibration.told_file import told_changes, told_machine
 from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD, RigVerdict, Told
 
@@ -25,8 +25,8 @@ FOUND = cast(  # what of a calibration goes into the file
 def verdict(**sds: float) -> RigVerdict:
     """Numbers that are named are told with that sd, the others are not told."""
     told = tuple(
-        Told(number, 0.0, sds.get(name, 1.0), None, None, TOLD if name in sds else NOT_TOLD)
-        for name, number in NUMBER.items()
+        Told(number, 0.0, sds.get(number.name, 1.0), None, None, TOLD if number.name in sds else NOT_TOLD)
+        for number in SOUGHT
     )
     return RigVerdict(told, 0.0, 0, 1.0, {}, ())
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from logs import MACHINE
 
-from tilth.estimator.calibration import priors
 from tilth.estimator.calibration.first_look import Straightness
 from tilth.estimator.calibration.verdict import TOLD, Told, _not_driven, soil_cost
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
+from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.flow import PARAMETERS
 
 
@@ -21,7 +21,7 @@ def test_what_numbers_cost_goes_with_the_sds_that_are_published(published: float
     covariance[gain, gain] = 0.002**2
     covariance[c_af, gain] = covariance[gain, c_af] = 10.0 * 0.002**2
     covariance[c_af, c_af] = 0.01**2 + (10.0 * 0.002) ** 2
-    told = [Told(priors.NUMBER["wheel_gain"], 0.0, published, None, None, TOLD)]
+    told = [Told(NUMBER["wheel_gain"], 0.0, published, None, None, TOLD)]
     whole, share = soil_cost(covariance, MACHINE, told)[PARAMETERS[0]]
     assert share == pytest.approx(10.0 * published, rel=1e-3)
     assert whole == pytest.approx(math.hypot(0.01, 10.0 * published), rel=1e-3)

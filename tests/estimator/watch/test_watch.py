@@ -1,5 +1,6 @@
 """What is moved is named, how far, and nothing else is; what is put back or accepted is over."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +11,20 @@ from numpy.typing import NDArray
 from tilth.estimator import fold
 from tilth.estimator.pose import aligner
 from tilth.estimator.record.record import KIND, NORTH, PLACE, VELOCITY
+from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESES, HYPOTHESIS, PAIRS, WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch
-from tilth.estimator.watch.accepted import corrected, in_words, key_of, line_of
+from tilth.estimator.watch.accepted import corrected, in_words, line_of
 from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
-from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, Explanation, suspects
+from tilth.estimator.watch.suspects import Explanation, suspects
 from tilth.estimator.watch.watch import BLOCK, Found, WatchState
 from tilth.schemas.flow import Accepted, Mount, Pose
 from tilth.simulator.traffic import simulate
 
 Array = NDArray[np.float64]
 
+LATENCIES = [row.name for row in HYPOTHESES if row.absorbed]
 MACHINE = demo_machine()
 RIG = lengths(MACHINE)
 AMOUNTS = {mount.value: (0.1, 0.05) for mount in Mount} | {
@@ -40,7 +43,12 @@ class Drive:
         self._rng = np.random.default_rng(seed)
         self._poses = 0
         self.constants = self._rng.normal(0.0, 0.02, N)
-        self.constants[AT["late_tractor_front"] : AT["late_implement_rear"] + 1] = 0.03, -0.04, 0.0, 0.05
+        self.constants[AT["latency_tractor_front"] : AT["latency_implement_rear"] + 1] = (
+            0.03,
+            -0.04,
+            0.0,
+            0.05,
+        )
 
     def move(self, name: str, amounts: tuple[float, ...]) -> None:
         self.constants = self.constants + watch.directions_of(MACHINE, name) @ np.array(amounts)
@@ -190,13 +198,19 @@ def test_what_is_accepted_is_measured_against_from_then_on() -> None:
     assert watch.proposal(drive.state, MACHINE, "implement_front", 8) is None
 
 
-@pytest.mark.parametrize("mount", list(Mount))
-@pytest.mark.parametrize("amounts", [(0.02, 0.0), (0.0, 0.02)])
-def test_a_moved_receiver_changes_measurements_as_its_directions_say(
-    mount: Mount, amounts: tuple[float, float]
+@pytest.mark.parametrize(
+    ("name", "amounts"),
+    [
+        *((mount.value, amounts) for mount in Mount for amounts in ((0.02, 0.0), (0.0, 0.02))),
+        *((pair, (0.01,)) for pair in PAIRS),
+        (DRAWBAR, (0.02,)),
+    ],
+)
+def test_what_is_moved_changes_measurements_as_its_directions_say(
+    name: str, amounts: tuple[float, ...]
 ) -> None:
     """Of a rig on a circle, whose receivers stand elsewhere than its file says."""
-    elsewhere = corrected(MACHINE, [Accepted(0, mount.value, amounts, (0.0, 0.0))])
+    elsewhere = corrected(MACHINE, [Accepted(0, name, amounts, (0.0,) * len(amounts))])
     readings = []
     for true in (MACHINE, elsewhere):
         state = aligner.initial(MACHINE)
@@ -207,7 +221,7 @@ def test_a_moved_receiver_changes_measurements_as_its_directions_say(
         readings.append(rows(RIG, found))
     (kinds, design, before), (_, _, after) = readings
     assert list(kinds) == list(range(KINDS))
-    moved = next(suspect for suspect in suspects(MACHINE) if suspect.name == mount.value)
+    moved = next(suspect for suspect in suspects(MACHINE) if suspect.name == name)
     assert after - before == pytest.approx(design @ moved.directions @ np.array(amounts), abs=0.0005)
 
 
@@ -270,12 +284,12 @@ def test_a_value_in_place_of_the_machine_files(name: str) -> None:
         case "pair_tractor" | "pair_implement":
             (front, rear), body = changed.values(), PAIRS.index(name)
             span = RIG.spans[body]
-            assert (front[1] - rear[1]) / span == pytest.approx(amounts[0])
-            assert front[0] == rear[0] == 0.0
+            assert math.asin((front[1] - rear[1]) / span) == pytest.approx(amounts[0])
+            assert abs(front[0] - rear[0]) < span * amounts[0] ** 2
         case _:
             assert changed == {name: pytest.approx(amounts)}
     assert demo_machine() == MACHINE  # the old one is as it was
-    assert key_of(name) and "sd = " in line_of(new, name) and in_words(name, amounts, one.sds)
+    assert HYPOTHESIS[name].key and "sd = " in line_of(new, name) and in_words(name, amounts, one.sds)
 
 
 def test_what_is_not_known_is_not_accepted() -> None:

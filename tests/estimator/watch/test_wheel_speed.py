@@ -11,9 +11,10 @@ from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 from tilth.estimator import fold
 from tilth.estimator.pose import aligner
 from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch, wheel_speed
-from tilth.estimator.watch.accepted import WHEEL_SPEED, corrected, in_words, key_of, line_of
+from tilth.estimator.watch.accepted import corrected, in_words, line_of
 from tilth.estimator.watch.wheel_speed import (
     AGREE,
     AGREEING,
@@ -182,7 +183,7 @@ def test_an_accepted_factor_stands_in_the_machine_file(machine: Machine) -> None
     new = corrected(machine, [one])
     assert new.tractor.wheel_speed_factor == Quantity(value=0.98, sd=0.006)
     assert new.model_copy(update={"tractor": machine.tractor}) == machine
-    assert key_of(WHEEL_SPEED) == "tractor.wheel_speed_factor"
+    assert HYPOTHESIS[WHEEL_SPEED].key == "tractor.wheel_speed_factor"
     assert line_of(new, WHEEL_SPEED) == "[tractor] wheel_speed_factor = { value = 0.9800, sd = 0.0060 }"
     assert "changed by 4.1 ± 1.5 % (95 %)" in in_words(WHEEL_SPEED, one.amounts, one.sds)
 
