@@ -1,6 +1,6 @@
 """Why there is no number, why driving teaches nothing, what would help: codes with numbers, never sentences.
 
-`sentences.py` makes the words of them, for people, and is the only place that does. Whoever decides by a
+`sentences/` makes the words of them, for people, and is the only place that does. Whoever decides by a
 reason compares its code.
 """
 

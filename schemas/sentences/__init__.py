@@ -1,0 +1,7 @@
+"""Words for people, in English: the one place that makes sentences of codes and of their numbers."""
+
+from tilth.schemas.sentences.advice import MANOEUVRES as MANOEUVRES
+from tilth.schemas.sentences.advice import advice_sentence as advice_sentence
+from tilth.schemas.sentences.advice import combination_words as combination_words
+from tilth.schemas.sentences.reasons import SENTENCES as SENTENCES
+from tilth.schemas.sentences.reasons import sentence as sentence
