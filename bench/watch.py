@@ -34,7 +34,7 @@ from tilth.estimator import fold
 from tilth.estimator.rig.numbers import PAIRS, WHEEL
 from tilth.estimator.watch import watch
 from tilth.replay.readers.any_log import frames
-from tilth.schemas.flow import Event, Frame, Mount, Pose
+from tilth.schemas.flow import Event, EventKind, Frame, Mount, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 
@@ -158,10 +158,12 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
                 value = publication.value
                 if isinstance(value, Pose):
                     poses += 1
-                    blocks = state.watch.old_blocks + len(state.watch.blocks)
+                    blocks = state.diagnosis.watch.old_blocks + len(state.diagnosis.watch.blocks)
                     watched += blocks >= watch.LEAST_BEFORE + watch.SINCE[0]
-                elif isinstance(value, Event) and value.kind == watch.EVENT and "accept it" in value.text:
-                    names = tuple(state.watch.moved[-1].names) if state.watch.moved else ()
+                elif isinstance(value, Event) and value.kind == EventKind.MOVED and "accept it" in value.text:
+                    names = (
+                        tuple(state.diagnosis.watch.moved[-1].names) if state.diagnosis.watch.moved else ()
+                    )
                     events.append((value.t_ns, names, value.text))
     finally:
         setattr(watch, "observe", observe)  # noqa: B010

@@ -40,6 +40,7 @@ HOLDS = {
     "watch": "what was moved",
     "record": "data on ticks",
     "filters": "likelihoods",
+    "diagnosis": "is the file right",
     "calibration": "a rig by its driving",
     "results": "what is published",
     "methods": "the estimators",

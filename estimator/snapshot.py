@@ -7,19 +7,17 @@ then continue without it. The machine file is not part of the text: the log hold
 import json
 from typing import Any, Final
 
+from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
 from tilth.estimator.fold import State, estimates_now
-from tilth.estimator.methods.consistency import Consistency
 from tilth.estimator.methods.estimators import rows_for
+from tilth.estimator.methods.open_tracker import OpenTracker
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
-from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.recognition import Recognition
-from tilth.estimator.pose.standing import StandingCheck
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch.accepted import corrected
-from tilth.estimator.watch.watch import WatchState
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
@@ -40,11 +38,9 @@ def snapshot(state: State) -> str:
         "decoder": state.decoder.dump(),
         "aligner": to_json_data(state.aligner, skip=frozenset({"machine"})),
         "record": to_json_data(state.record),
-        "consistency": to_json_data(state.consistency),
+        "open": to_json_data(state.open),
         "estimators": {row.method: to_json_data(state.estimators[row.method]) for row in rows},
-        "checks": to_json_data(state.checks),
-        "standing": to_json_data(state.standing),
-        "watch": to_json_data(state.watch),
+        "diagnosis": to_json_data(state.diagnosis),
         "accepted": to_json_data(state.accepted),
         "previous_run": to_json_data(state.previous_run),
         "previous_run_ns": state.previous_run_ns,
@@ -127,11 +123,9 @@ def _state_of(machine: Machine, stored: Stored) -> State:
         decoder=_decoder_of(machine, stored.raw("decoder")),
         aligner=stored.value(Aligner, "aligner", {"machine": machine}),
         record=stored.value(RecordState, "record"),
-        consistency=stored.value(Consistency, "consistency"),
+        open=stored.value(OpenTracker, "open"),
         estimators=_estimators_of(machine, stored.raw("estimators")),
-        checks=stored.value(ReceiverChecks, "checks"),
-        standing=stored.value(StandingCheck, "standing"),
-        watch=stored.value(WatchState, "watch"),
+        diagnosis=stored.value(RigDiagnosis, "diagnosis"),
         previous_run=stored.value(dict[str, SavedPosterior], "previous_run"),
         previous_run_ns=stored.value(int, "previous_run_ns"),
         frames=stored.value(int, "frames"),

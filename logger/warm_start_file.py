@@ -17,6 +17,7 @@ from tilth.estimator.watch.watch import Moved
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine
+from tilth.schemas.sentences import accept_or_put_back, sentence
 
 FORMAT: Final = 2
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
@@ -89,7 +90,10 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
         moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
-        told = [f"an earlier run found: {watch.describe(one)}. {watch.wanted(one)}" for one in moved]
+        told = [
+            f"an earlier run found: {sentence(one.reason)}. {accept_or_put_back(one)}"
+            for one in (carried.diagnosis for carried in moved)
+        ]
     except NotUsable:
         raise
     except Exception as error:  # anything may stand there, and a run begins whatever it is
@@ -140,5 +144,5 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
             "accepted", f"{one.what} is as it was accepted in an earlier run, not as the machine file says"
         )
     for text in found.told:
-        report(watch.EVENT, text)
+        report(EventKind.MOVED, text)
     return bool(used or found.accepted or found.moved)

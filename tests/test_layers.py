@@ -21,6 +21,7 @@ ROOMS = {
         "watch",
         "record",
         "filters",
+        "diagnosis",
         "calibration",
         "results",
         "methods",

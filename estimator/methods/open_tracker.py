@@ -7,12 +7,13 @@ changes no measurement, so the lengths a to e stand for them.
 """
 
 import math
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
+from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, Misfit, OpenEvidence, misfit_of
 from tilth.estimator.filters.drift import drift
 from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NEED_STEERING, NOISE, SIX
@@ -20,15 +21,11 @@ from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
-from tilth.estimator.rig.numbers import NUMBERS, names
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
-OPEN: Final = sorted((row for row in NUMBERS if row.open_sd), key=lambda row: AT[row.name])
-"""Numbers of the rig that are left open."""
-CERTAIN: Final = 2.33  # sds by which the data must be off each of these: one gross error in a hundred passes
-NAMES: Final = names(OPEN)
 PLACES: Final = [AT[name] for name in NAMES]
 TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
 MEMORY: Final = 2400.0  # segments that were learned from (8 min) over which the result is forgotten
@@ -44,22 +41,20 @@ ROUGH: Final = 0.007  # rad
 """Unevenness above which what is found may be a divergence: on ground of 3 cm rms it found inertias twice as
 large, or the front axle at the CG, in 4 of 40 drives with right files, at 0.008 to 0.016. On 1 cm it is at
 most 0.006, with wrong files too."""
-IN_ROWS: Final = names(row for row in OPEN if row.in_rows)
-OF_PAIRS: Final = tuple(name for name in IN_ROWS if name != "wheel_zero")
+OUTLIER_SEGMENTS: Final = 100  # the last ones, among whose rows outliers are counted
 _STEERED: Final = [*NEED_STEERING, *(AT[row.name] for row in OPEN if not row.in_rows)]
 
 
-class Misfit(NamedTuple):
-    """Difference between the open tracker's result and the file."""
+@dataclass(slots=True)
+class OpenTracker:
+    """Plain data."""
 
-    total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
-    by_name: Array  # [n]; decrease of `total` if this number alone is freed
-    off: Array  # [n]; result minus the file's value, in the unit of each
-    sd: Array  # [n]; of the result
-    alone: Array  # [n]; sd of the difference if all other numbers are right, with the error that is allowed
+    tracker: TrackerState
+    learned: int = 0  # segments from which it has learned
+    rows: list[tuple[float, float]] = field(default_factory=list)  # (outliers, all) after the last segments
 
 
-def initial(machine: Machine) -> TrackerState:
+def initial(machine: Machine) -> OpenTracker:
     """The state before any data, at the values of the machine file, as wide as people are wrong."""
     state = tracker.initial(machine)
     sd = state.prior_sd
@@ -75,11 +70,35 @@ def initial(machine: Machine) -> TrackerState:
     # drives of three long steps on the planar plant (implement.e off by 0.6 m). So where its slopes are not
     # by steering, a tracker stops while the wheels are held.
     state.by_steering = False
-    return state
+    return OpenTracker(state)
 
 
-def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
-    """Take one segment. Returns whether all open numbers were learned from it."""
+def observe(state: OpenTracker, machine: Machine, segment: Segment | None) -> OpenEvidence:
+    """Take the segment that is complete with a pose. What it finds now."""
+    if segment is not None:
+        learned = _take(state.tracker, machine, segment)
+        state.learned += learned
+        if learned or state.tracker.reason is Code.HELD:
+            state.rows = [*state.rows, _rejected_rows(state.tracker)][-OUTLIER_SEGMENTS:]
+    return OpenEvidence(
+        misfit(state.tracker, machine), _at_first(machine), state.learned, _rejected(state.rows),
+        is_rough(state.tracker),
+    )  # fmt: skip
+
+
+def clock_stepped(state: OpenTracker) -> None:
+    """The log's clock stepped back: the motion state is discarded; what was learned stays."""
+    state.tracker.pending, state.tracker.running = None, False
+    state.tracker.ticks_before = np.zeros((0, 8))
+
+
+@once_for_a_machine
+def _at_first(machine: Machine) -> Misfit:
+    return misfit(initial(machine).tracker, machine)
+
+
+def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
+    """Returns whether all open numbers were learned from it."""
     gentle = state.pending is not None and not tracker.is_tight(state, state.pending)  # what is learned now
     state.by_steering = gentle and state.window_s >= WIDE_LOOK_S
     tracker.take_segment(state, machine, segment)
@@ -102,44 +121,7 @@ def _fade(state: TrackerState) -> None:
 def misfit(state: TrackerState, machine: Machine) -> Misfit:
     """The present difference from the machine file."""
     off = (state.mean - state.prior_mean)[PLACES]
-    covariance = state.covariance[np.ix_(PLACES, PLACES)]
-    inverse = np.linalg.inv(covariance + np.diag(allowed(machine) ** 2))
-    solved = inverse @ off
-    precision = np.diag(inverse)
-    return Misfit(
-        float(off @ solved),
-        solved**2 / precision,
-        off,
-        np.sqrt(np.diag(covariance)),
-        1.0 / np.sqrt(precision),
-    )
-
-
-@once_for_a_machine
-def allowed(machine: Machine) -> Array:
-    """Sd by which a right file may differ from the result, [n] in the order of NAMES."""
-    _, stated = unknowns.prior(machine)
-    out = np.array([math.hypot(stated[AT[row.name]], row.allowed_sd) for row in OPEN])
-    for k, row in enumerate(OPEN):
-        if row.by_cg:
-            body = machine.tractor if row.key.startswith("tractor.") else machine.implement
-            length = 1.0 if row.value is None else row.value(machine)
-            out[k] = math.hypot(out[k], body.cg_sd / length)
-    return out
-
-
-def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
-    """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
-    ratio: dict[str, float] = {}
-    for k, row in enumerate(OPEN):
-        if not row.confirming_sd:
-            continue
-        ratio[row.name] = float(now.sd[k]) / row.confirming_sd
-        if row.gross:
-            size = math.log1p(row.gross / (1.0 if row.value is None else row.value(machine)))
-            off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
-            ratio[row.name] = max(ratio[row.name], CERTAIN / max(off, 1e-3))
-    return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])
+    return misfit_of(off, state.covariance[np.ix_(PLACES, PLACES)], machine)
 
 
 def is_rough(state: TrackerState) -> bool:
@@ -147,6 +129,14 @@ def is_rough(state: TrackerState) -> bool:
     return math.sqrt(state.push[3]) > ROUGH
 
 
-def rejected_rows(state: TrackerState) -> tuple[float, float]:
+def _rejected(rows: list[tuple[float, float]]) -> float:
+    """Share of outliers among the recent measurements, 0 before there are enough."""
+    if len(rows) < OUTLIER_SEGMENTS // 2:
+        return 0.0
+    refused, every = (rows[-1][k] - rows[0][k] for k in (0, 1))
+    return refused / every if every > 0 else 0.0
+
+
+def _rejected_rows(state: TrackerState) -> tuple[float, float]:
     """(rows rejected as outliers or as not finite, all rows) so far."""
     return float(state.counts[GATED] + state.counts[BAD]), float(state.counts[[USED, GATED, BAD]].sum())

@@ -15,6 +15,7 @@ from tilth.estimator.rig import adjustments
 from tilth.estimator.rig.adjustments import Amount, Change, added, of_receiver, scaled
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 BODIES: Final = ("tractor", "implement")
 DEG: Final = math.degrees(1.0)
@@ -43,6 +44,8 @@ class RigNumber:
     words: str = ""  # for people
     unit: str = "m"  # for people
     per_unit: float = 1.0  # SI per unit
+
+    place: bool = False  # where receivers stand
 
     # As a calibration drive tells it.
     prior_sd: float = 0.0  # by how much people are wrong
@@ -74,7 +77,7 @@ def _length(section: str, key: str) -> Callable[[Machine], float]:
 def _pair(body: str) -> RigNumber:
     return RigNumber(
         f"pair_{body[0]}", f"receiver.position on the {body}", adjustments.pair_turned(body),
-        f"yaw of the {body}'s pair", "°", 1 / DEG,
+        f"yaw of the {body}'s pair", "°", 1 / DEG, place=True,
         prior_sd=math.radians(3.0), wanted_sd=math.radians(0.1), floor_sd=math.radians(0.05),
         drive=ROW, tape=_SIDE,
         open_sd=math.radians(5.0), allowed_sd=math.radians(0.1), confirming_sd=math.radians(0.6),
@@ -85,19 +88,19 @@ def _pair(body: str) -> RigNumber:
 def _longer(body: str) -> RigNumber:
     return RigNumber(
         f"longer_{body[0]}", f"receiver.position on the {body}", adjustments.pair_longer(body),
-        f"distance of the {body}'s receivers", watch_sd=0.3, drift_sd=0.01,
+        f"distance of the {body}'s receivers", place=True, watch_sd=0.3, drift_sd=0.01,
     )  # fmt: skip
 
 
 def _of_each(
     name: str, key: str, change: Callable[..., dict[str, object]], words: str = "", unit: str = "m",
-    per_unit: float = 1.0, **sds: float | str,
+    per_unit: float = 1.0, **others: float | str,
 ) -> tuple[RigNumber, ...]:  # fmt: skip
     """A number that each receiver has."""
     return tuple(
         RigNumber(
             f"{name}_{mount.value}", f"receiver.{mount.value}.{key}", of_receiver(mount, change),
-            words.format(mount.value.replace("_", " ")), unit, per_unit, **sds,  # type: ignore[arg-type]
+            words.format(mount.value.replace("_", " ")), unit, per_unit, **others,  # type: ignore[arg-type]
         )
         for mount in Mount
     )  # fmt: skip
@@ -108,23 +111,23 @@ NUMBERS: Final = (
     *map(_pair, BODIES),
     RigNumber(
         "aside_t", "receiver.position (right)", adjustments.pair_right("tractor"),
-        "tractor's receivers to the right",
+        "tractor's receivers to the right", place=True,
         prior_sd=0.20, wanted_sd=0.01, floor_sd=0.004, drive=FOLD, tape=_SIDE, watch_sd=0.3, drift_sd=0.01,
     ),
     RigNumber(
         "aside_i", "receiver.position (right)", adjustments.pair_right("implement"),
-        "implement's receivers to the right",
+        "implement's receivers to the right", place=True,
         prior_sd=0.20, wanted_sd=0.01, floor_sd=0.004, drive=ROW, tape=_SIDE,
         open_sd=0.5, allowed_sd=0.03, confirming_sd=0.1, in_rows=True, watch_sd=0.3, drift_sd=0.01,
     ),
     RigNumber(
         "lever_t", "receiver.position (forward)", adjustments.pair_forward("tractor"),
-        "tractor's receivers forward",
+        "tractor's receivers forward", place=True,
         prior_sd=0.20, wanted_sd=0.03, floor_sd=0.014, not_weaved_sd=0.06, drive=CIRCLE, tape=_LEVER,
     ),
     RigNumber(
         "lever_i", "receiver.position (forward)", adjustments.pair_forward("implement"),
-        "implement's receivers forward",
+        "implement's receivers forward", place=True,
         prior_sd=0.20, wanted_sd=0.03, floor_sd=0.010, not_weaved_sd=0.03, drive=CIRCLE, tape=_LEVER,
     ),
     RigNumber(
@@ -181,8 +184,8 @@ NUMBERS: Final = (
         prior_sd=0.10, wanted_sd=0.010, floor_sd=0.006, not_weaved_sd=0.04, drive=WEAVE, tape="none",
         open_sd=0.1, allowed_sd=0.02, confirming_sd=0.06,
     ),
-    *_of_each("forward", "position", adjustments.forward),
-    *_of_each("right", "position", adjustments.right),
+    *_of_each("forward", "position", adjustments.forward, place=True),
+    *_of_each("right", "position", adjustments.right, place=True),
     *_of_each("latency", "latency", adjustments.latency, unit="s", watch_sd=0.06, drift_sd=0.003),
     *_of_each(
         "roll_zero", "roll_zero", adjustments.roll_zero, "roll zero, {} receiver", "°", 1 / DEG,
@@ -225,6 +228,7 @@ class Hypothesis:
     """What may happen to a rig at one moment while it drives: some numbers change together."""
 
     name: str  # by which it is accepted: it stands in logs, and is never renamed
+    code: Code
     key: str  # of the machine file, as people are told
     numbers: tuple[str, ...]  # one for each of its amounts
     sign: float = 1.0  # of the numbers by its amounts
@@ -240,21 +244,23 @@ PAIRS: Final = ("pair_tractor", "pair_implement")
 HYPOTHESES: Final = (
     *(
         Hypothesis(  # 2.5 cm turn a pair by half a degree
-            mount.value, f"receiver.{mount.value}.position",
+            mount.value, Code.RECEIVER_MOVED, f"receiver.{mount.value}.position",
             (f"forward_{mount.value}", f"right_{mount.value}"), least=0.025,
         )
         for mount in Mount
     ),
     *(
-        Hypothesis(pair, f"receiver.{pair}.position", (f"pair_{body[0]}",), least=0.007)
+        Hypothesis(pair, Code.PAIR_TURNED, f"receiver.{pair}.position", (f"pair_{body[0]}",), least=0.007)
         for pair, body in zip(PAIRS, BODIES, strict=True)
     ),
-    Hypothesis(WHEEL, "wheel_angle.zero", ("wheel_zero",), least=0.0087),
-    Hypothesis(DRAWBAR, "implement.d or tractor.c", ("d",), sign=-1.0, least=0.05),
-    Hypothesis(WHEEL_SPEED, "tractor.wheel_speed_factor", ("wheel_speed_factor",)),
+    Hypothesis(WHEEL, Code.WHEEL_SLIPPED, "wheel_angle.zero", ("wheel_zero",), least=0.0087),
+    Hypothesis(DRAWBAR, Code.DRAWBAR_CHANGED, "implement.d or tractor.c", ("d",), sign=-1.0, least=0.05),
+    Hypothesis(WHEEL_SPEED, Code.TYRES_CHANGED, "tractor.wheel_speed_factor", ("wheel_speed_factor",)),
     *(
-        Hypothesis(f"latency_{mount.value}", f"receiver.{mount.value}.latency", (f"latency_{mount.value}",),
-                 absorbed=True)
+        Hypothesis(
+            f"latency_{mount.value}", Code.RECEIVER_AT_ANOTHER_TIME, f"receiver.{mount.value}.latency",
+            (f"latency_{mount.value}",), absorbed=True,
+        )
         for mount in Mount
     ),
 )  # fmt: skip

@@ -1,13 +1,13 @@
 """What the operator has accepted: values that the watch found, in place of those of the machine file."""
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from tilth.estimator.rig.adjustments import Amount
-from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESIS, PAIRS, WHEEL, WHEEL_SPEED, changed
+from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESIS, WHEEL, WHEEL_SPEED, changed
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine, Receiver
-from tilth.schemas.spread import plus_minus
+from tilth.schemas.reasons import Reason
+from tilth.schemas.sentences import sentence
 
 
 def corrected(machine: Machine, accepted: Iterable[Accepted]) -> Machine:
@@ -25,27 +25,6 @@ def _amounts(one: Accepted) -> dict[str, Amount]:
     amounts = [Amount(row.sign * by) for by in one.amounts]
     amounts[0] = amounts[0]._replace(sd=max(one.sds[: len(row.numbers)]), besides=True)
     return dict(zip(row.numbers, amounts, strict=False))
-
-
-def in_words(what: str, amounts: Sequence[float], sds: Sequence[float]) -> str:
-    """Such as: tractor_front has been moved 0.10 ± 0.03 m (95 %) forward and …"""
-    if what in (WHEEL, *PAIRS):
-        angle = plus_minus(math.degrees(amounts[0]), math.degrees(sds[0]), "°")
-        if what == WHEEL:
-            return f"the wheels' sensor has slipped by {angle}: wheel_angle.zero"
-        return f"the pair on the {what.removeprefix('pair_')} has been turned by {angle}"
-    if what == WHEEL_SPEED:
-        return _tyres_in_words(amounts, sds)
-    if what == DRAWBAR:
-        return f"the drawbar is {plus_minus(-amounts[0], sds[0], 'm')} longer: implement.d or tractor.c"
-    forward, right = (plus_minus(a, sd, "m") for a, sd in zip(amounts, sds, strict=True))
-    return f"{what} has been moved {forward} forward and {right} to the right"
-
-
-def _tyres_in_words(factors: Sequence[float], sds: Sequence[float]) -> str:
-    (now, before), relative = factors, [sd / factor for sd, factor in zip(sds, factors, strict=True)]
-    larger = plus_minus(100.0 * (before / now - 1.0), 100.0 * math.hypot(*relative), "%")
-    return f"the tyres' radius has changed by {larger}: tractor.wheel_speed_factor"
 
 
 def line_of(machine: Machine, what: str) -> str:
@@ -70,5 +49,6 @@ def _receiver_line(receiver: Receiver) -> str:
 
 def acceptance(machine: Machine, accepted: Accepted) -> str:
     """For the event; machine: with the value."""
-    what = in_words(accepted.what, accepted.amounts, accepted.sds)
+    row = HYPOTHESIS[accepted.what]
+    what = sentence(Reason(row.code, (row.key, row.name), (*accepted.amounts, *accepted.sds)))
     return f"accepted: {what}; for the machine file: {line_of(machine, accepted.what)}"

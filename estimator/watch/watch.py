@@ -7,15 +7,15 @@ row, has been moved. From then on it is compared with how it is now, so that bei
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.rig.lifecycle import Persistence
 from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.estimator.watch import wheel_speed
-from tilth.estimator.watch.accepted import in_words
 from tilth.estimator.watch.evidence import (
     KINDS,
     Evidence,
@@ -28,12 +28,12 @@ from tilth.estimator.watch.evidence import (
 from tilth.estimator.watch.sample import sample
 from tilth.estimator.watch.suspects import Explanation, judge, posterior, suspects
 from tilth.estimator.watch.wheel_speed import WheelSpeedState
-from tilth.schemas.flow import WITHOUT_RTK, Accepted, EventKind, Mount, Pose
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
+from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-EVENT: Final = EventKind.MOVED  # kind of the events
 SLOWEST: Final = 1.0  # m/s
 BLOCK: Final = 100  # samples (20 s)
 SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
@@ -60,6 +60,16 @@ class Moved:
     followed: bool = True  # `after` grows, since nothing else has been moved meanwhile
     now: Evidence | None = None  # of an earlier run's: the samples of this one, by which it may be back
 
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What has been moved, by how much; suspected while it may be something else as well."""
+        row, sds = HYPOTHESIS[self.names[0]], np.sqrt(np.diag(self.covariance))
+        return Diagnosis(
+            row.code, row.key, tuple(self.names), row.numbers, tuple(self.amounts.tolist()),
+            tuple(sds.tolist()), self.since_ns,
+            DiagnosisState.SUSPECTED if self.names[1:] else DiagnosisState.ISOLATED,
+        )  # fmt: skip
+
 
 @dataclass(slots=True)
 class WatchState:
@@ -75,19 +85,12 @@ class WatchState:
         default_factory=lambda: np.ones(KINDS)
     )  # variance of a pose's rows over the expected
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
-    suspected_blocks: int = 0  # in a row, in which something was suspected
+    suspected: Persistence = field(default_factory=Persistence)  # blocks in which something was
     moved: list[Moved] = field(default_factory=list)
     wheel_speed: WheelSpeedState = field(default_factory=WheelSpeedState)  # of the tyres' radius
 
 
-class Found(NamedTuple):
-    """What is new: it has been moved, or it is known now which one it was, or it is back where it was."""
-
-    moved: Moved
-    back: bool = False
-
-
-def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Found]:
+def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Diagnosis]:
     """Take one pose. Returns what was found moved with it."""
     speed = pose.tractor.forward_velocity
     if speed is None or speed < SLOWEST or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
@@ -148,7 +151,7 @@ def _sum(parts: list[Evidence]) -> Evidence:
     )
 
 
-def _look(state: WatchState, machine: Machine) -> list[Found]:
+def _look(state: WatchState, machine: Machine) -> list[Diagnosis]:
     state.mean, _ = posterior(_sum([state.old, *state.blocks]))
     told = _follow(state, machine)
     best: tuple[int, list[Explanation]] | None = None
@@ -160,12 +163,12 @@ def _look(state: WatchState, machine: Machine) -> list[Found]:
         if best is None or explanations[0].chi_square > best[1][0].chi_square:
             best = (since, explanations)
     if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
-        state.suspected_blocks = 0
+        state.suspected.look(False)
         return told
     return told + _suspect(state, machine, *best)
 
 
-def _follow(state: WatchState, machine: Machine) -> list[Found]:
+def _follow(state: WatchState, machine: Machine) -> list[Diagnosis]:
     """How far what has been moved is moved by all samples since; returns what is known by name now."""
     told = []
     for moved in list(state.moved):
@@ -173,17 +176,17 @@ def _follow(state: WatchState, machine: Machine) -> list[Found]:
             moved.now = _sum([moved.now, state.blocks[-1]])
             if _is_back(machine, moved, moved.now):
                 state.moved.remove(moved)
-                told.append(Found(moved, back=True))
+                told.append(replace(moved.diagnosis, state=DiagnosisState.CLEARED))
             continue
         if moved.followed:
             moved.after = _sum([moved.after, state.blocks[-1]])
         explanations = judge(machine, *posterior(moved.before), moved.after)
-        names = _names(explanations)
+        names, before = _names(explanations), moved.names
         if len(moved.names) > 1 and names:
             moved.names = names
-            if len(names) == 1:
-                told.append(Found(moved))
         _set(moved, next(explanation for explanation in explanations if explanation.name == moved.names[0]))
+        if len(moved.names) == 1 < len(before):
+            told.append(moved.diagnosis)
     return told
 
 
@@ -225,15 +228,17 @@ def _like_another(explanations: list[Explanation]) -> bool:
     return max(others) > NEARLY * explanations[0].chi_square
 
 
-def _suspect(state: WatchState, machine: Machine, since: int, explanations: list[Explanation]) -> list[Found]:
+def _suspect(
+    state: WatchState, machine: Machine, since: int, explanations: list[Explanation]
+) -> list[Diagnosis]:
     """Something has been moved, if that is so block after block."""
     first, names = explanations[0], _names(explanations)
-    state.suspected_blocks += 1
-    if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
+    state.suspected.look(True)
+    if state.suspected.seen < (TWICE if len(names) < 2 else CLEAR):
         return []
     if HYPOTHESIS[first.name].absorbed and _like_another(explanations):
         return []  # a receiver that is further forward looks alike until it is driven at another speed
-    state.suspected_blocks = 0
+    state.suspected = Persistence()
     before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
     _absorb(state, machine, since, before, first)
     for moved in state.moved:
@@ -244,14 +249,14 @@ def _suspect(state: WatchState, machine: Machine, since: int, explanations: list
     if known is None:
         found = Moved(names, first.amounts, first.covariance, after.since_ns, before, after)
         state.moved.append(found)
-        return [Found(found)]
+        return [found.diagnosis]
     known.after, known.followed, known.now = after, True, None
     again = judge(machine, *posterior(known.before), after)
     _set(known, next(explanation for explanation in again if explanation.name == known.names[0]))
     if _matters(Explanation(known.names[0], 0.0, known.amounts, known.covariance)):
-        return [Found(known)]
+        return [known.diagnosis]
     state.moved.remove(known)
-    return [Found(known, back=True)]
+    return [replace(known.diagnosis, state=DiagnosisState.CLEARED)]
 
 
 def _matters(explanation: Explanation) -> bool:
@@ -269,27 +274,10 @@ def _absorb(state: WatchState, machine: Machine, since: int, before: Evidence, f
     state.blocks = state.blocks[-since:]
 
 
-def message(found: Found, t_ns: int) -> str:
-    """For the event; t_ns: now."""
-    moved = found.moved
-    what = moved.names[0]
-    if found.back:
-        return f"{what} is where it was before, and is used again"
-    minutes = max(t_ns - moved.since_ns, 0) * 1e-9 / 60.0
-    return f"{describe(moved)}; {minutes:.0f} min ago. {wanted(moved)}"
-
-
-def wanted(moved: Moved) -> str:
-    """What the operator is asked for."""
-    return f"It is not used: accept it as it is now ({' or '.join(moved.names)}), or put it back"
-
-
-def found_now(state: WatchState) -> list[tuple[list[str], str]]:
-    """(names by which it may be accepted, what and by how much) of all that is not as in the file."""
-    found = [(list(moved.names), describe(moved)) for moved in state.moved]
-    if state.wheel_speed.change is not None:
-        found.append(([WHEEL_SPEED], wheel_speed.describe(state.wheel_speed.change)))
-    return found
+def found_now(state: WatchState) -> list[Diagnosis]:
+    """All that is not as in the file, by the names in `of` it may be accepted."""
+    found = [moved.diagnosis for moved in state.moved]
+    return found if state.wheel_speed.change is None else [*found, state.wheel_speed.change.diagnosis]
 
 
 def left_out(state: WatchState) -> frozenset[str]:
@@ -297,16 +285,10 @@ def left_out(state: WatchState) -> frozenset[str]:
     return frozenset(m.names[0] for m in state.moved if len(m.names) == 1 and m.names[0] in set(Mount))
 
 
-def contradictions(state: WatchState) -> dict[str, str]:
-    """Key of the machine file -> message, of what has been moved and cannot be done without."""
+def contradictions(state: WatchState) -> list[Diagnosis]:
+    """What has been moved and cannot be done without."""
     out = left_out(state)
-    return {HYPOTHESIS[m.names[0]].key: f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
-
-
-def describe(moved: Moved) -> str:
-    """What has been moved, by how much; and what else that may be."""
-    text = in_words(moved.names[0], moved.amounts.tolist(), np.sqrt(np.diag(moved.covariance)).tolist())
-    return ", or it is ".join([text, *moved.names[1:]])
+    return [moved.diagnosis for moved in state.moved if moved.names[0] not in out]
 
 
 def proposal(state: WatchState, machine: Machine, what: str, t_ns: int) -> Accepted | None:
@@ -336,7 +318,7 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
         evidence.vector = evidence.vector - evidence.information @ shift
     state.mean = state.mean - shift
     state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
-    state.suspected_blocks = 0
+    state.suspected = Persistence()
 
 
 def directions_of(machine: Machine, name: str) -> Any:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences.diagnosis import DIAGNOSES
 from tilth.schemas.spread import share
 
 SENTENCES: Final[Mapping[Code, str]] = {
@@ -108,6 +109,8 @@ def sentence(reason: Reason | None) -> str:
     if reason is None:
         return ""
     of = reason.of
+    if reason.code in DIAGNOSES:
+        return DIAGNOSES[reason.code](of, reason.numbers)
     text = SENTENCES[reason.code].format(
         of=of,
         n=[_Number(number) for number in reason.numbers],

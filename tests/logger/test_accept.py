@@ -74,7 +74,7 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     for frame in drive[: len(drive) // 2]:
         daemon.take(frame)
     fold = daemon.parts.estimation.fold
-    fold.state.watch.moved.append(moved(machine, "implement_front", (0.1, -0.02)))
+    fold.state.diagnosis.watch.moved.append(moved(machine, "implement_front", (0.1, -0.02)))
     name = ["--machine", str(file)]
     asked = (
         ["accept", *name],

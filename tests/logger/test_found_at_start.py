@@ -51,7 +51,7 @@ def talker() -> Iterator[can.BusABC]:
 def kept() -> dict[str, Any]:
     """What a run that has learned something writes."""
     state = fold.initial(MACHINE)
-    state.consistency.confirmed = True
+    state.diagnosis.consistency.confirmed = True
     state.estimators[pem.METHOD].informed_ns = NOW - 5_000_000_000
     moved = Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, Evidence(), Evidence())
     text = warm_start_file.text_of(MACHINE, save_learned(state, NOW), NOW, moved=[moved])

@@ -145,7 +145,7 @@ def test_all_that_is_learned_begins_from_the_file_with_the_value(name: str) -> N
     fold.accept(state, said)
     now = corrected(MACHINE, [said])
     for again in (state, restore(MACHINE, snapshot(state))):
-        assert again.machine == now and again.record.knots == [] and not again.consistency.confirmed
+        assert again.machine == now and again.record.knots == [] and not again.diagnosis.consistency.confirmed
         for row in rows_for(now):
             assert to_json_data(again.estimators[row.method]) == to_json_data(row.initial(now))
     kept = state.aligner.latency.tau.tolist() == latencies

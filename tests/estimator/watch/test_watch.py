@@ -14,11 +14,12 @@ from tilth.estimator.record.record import KIND, NORTH, PLACE, VELOCITY
 from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESES, HYPOTHESIS, PAIRS, WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch
-from tilth.estimator.watch.accepted import corrected, in_words, line_of
+from tilth.estimator.watch.accepted import acceptance, corrected, line_of
 from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
 from tilth.estimator.watch.suspects import Explanation, suspects
-from tilth.estimator.watch.watch import BLOCK, Found, WatchState
+from tilth.estimator.watch.watch import BLOCK, WatchState
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Mount, Pose
 from tilth.simulator.traffic import simulate
 
@@ -53,7 +54,7 @@ class Drive:
     def move(self, name: str, amounts: tuple[float, ...]) -> None:
         self.constants = self.constants + watch.directions_of(MACHINE, name) @ np.array(amounts)
 
-    def drive(self, blocks: int) -> list[Found]:
+    def drive(self, blocks: int) -> list[Diagnosis]:
         found = []
         for _ in range(blocks * BLOCK):
             self._poses += 1
@@ -88,12 +89,12 @@ def test_what_is_moved_is_named_with_how_far(name: str) -> None:
     assert drive.drive(BEFORE) == []
     drive.move(name, AMOUNTS[name])
     first, *_ = found = drive.drive(AFTER)
-    assert not first.back and name in first.moved.names
-    assert all(one.moved is first.moved for one in found)  # later ones only tell which
-    off = first.moved.amounts - np.array(AMOUNTS[first.moved.names[0]])
-    if first.moved.names[0] == name:
-        assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(first.moved.covariance)))
-    assert abs(first.moved.since_ns - START_NS - BEFORE * BLOCK * 200_000_000) < 3 * BLOCK * 200_000_000
+    assert name in first.of and {one.since_ns for one in found} == {first.since_ns}
+    for one in (first, found[-1]):  # later ones only tell which
+        if one.of[0] == name:
+            off = np.array(one.amounts) - np.array(AMOUNTS[name])
+            assert np.all(np.abs(off) < 4.0 * np.array(one.sds))
+    assert abs(first.since_ns - START_NS - BEFORE * BLOCK * 200_000_000) < 3 * BLOCK * 200_000_000
 
 
 @pytest.mark.parametrize("name", LATENCIES)
@@ -132,7 +133,11 @@ def test_what_is_put_back_is_over() -> None:
     assert watch.left_out(drive.state) == {"tractor_rear"}
     drive.move("tractor_rear", (-0.1, 0.0))
     (over,) = drive.drive(AFTER)
-    assert over.back and drive.state.moved == [] and watch.left_out(drive.state) == frozenset()
+    assert (
+        over.state is DiagnosisState.CLEARED
+        and drive.state.moved == []
+        and watch.left_out(drive.state) == frozenset()
+    )
 
 
 def in_a_new_run(before: Drive, back: bool) -> Drive:
@@ -156,7 +161,7 @@ def test_what_an_earlier_run_found_stands_until_it_is_seen_in_its_place(name: st
     assert [moved.names for moved in drive.state.moved] == [[name]]
     again = in_a_new_run(drive, back)
     told = again.drive(AFTER)
-    assert [found.back for found in told] == ([True] if back else [])
+    assert [found.state for found in told] == ([DiagnosisState.CLEARED] if back else [])
     assert [moved.names for moved in again.state.moved] == ([] if back else [[name]])
     if not back:
         now = watch.proposal(again.state, MACHINE, name, START_NS)
@@ -182,7 +187,7 @@ def test_two_things_moved_one_after_the_other_are_both_named() -> None:
     drive.drive(AFTER)
     assert [moved.names for moved in drive.state.moved] == [["implement_rear"], [WHEEL]]
     assert drive.state.moved[0].amounts == pytest.approx([-0.1, 0.0], abs=0.03)
-    assert list(watch.contradictions(drive.state)) == ["wheel_angle.zero"]
+    assert [one.key for one in watch.contradictions(drive.state)] == ["wheel_angle.zero"]
 
 
 def test_what_is_accepted_is_measured_against_from_then_on() -> None:
@@ -259,7 +264,7 @@ def test_its_state_is_data() -> None:
     drive.move("tractor_front", (0.1, 0.0))
     drive.drive(AFTER)
     state = fold.initial(MACHINE)
-    state.watch = drive.state
+    state.diagnosis.watch = drive.state
     text = snapshot(state)
     assert snapshot(restore(MACHINE, text)) == text
 
@@ -289,7 +294,8 @@ def test_a_value_in_place_of_the_machine_files(name: str) -> None:
         case _:
             assert changed == {name: pytest.approx(amounts)}
     assert demo_machine() == MACHINE  # the old one is as it was
-    assert HYPOTHESIS[name].key and "sd = " in line_of(new, name) and in_words(name, amounts, one.sds)
+    assert HYPOTHESIS[name].key and "sd = " in line_of(new, name)
+    assert line_of(new, name) in acceptance(new, one)
 
 
 def test_what_is_not_known_is_not_accepted() -> None:
