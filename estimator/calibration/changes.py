@@ -57,10 +57,10 @@ def _kingpin_keys(machine: Machine, kingpin: str) -> dict[str, Any]:
 class Changes:
     """Relative to the file as it was read. Receivers in the order of flow.Mount, bodies tractor first."""
 
-    who: tuple[int, ...] = (0, 1, 2, 3)  # which receiver of the file stands at each place
-    late: Array = field(default_factory=lambda: np.zeros(4))  # s, of the receiver at each place
+    assignment: tuple[int, ...] = (0, 1, 2, 3)  # which receiver of the file stands at each place
+    delay: Array = field(default_factory=lambda: np.zeros(4))  # s, of the receiver at each place
     forward: Array = field(default_factory=lambda: np.zeros(2))  # m, of both receivers of a body
-    aside: Array = field(default_factory=lambda: np.zeros(2))  # m, to the right
+    lateral_offset: Array = field(default_factory=lambda: np.zeros(2))  # m, to the right
     pair: Array = field(default_factory=lambda: np.zeros(2))  # rad, clockwise about the middle of a pair
     longer: Array = field(default_factory=lambda: np.zeros(2))  # m, from rear to front receiver
     hitch: Array = field(default_factory=lambda: np.zeros(2))  # m, on tractor.c and implement.d
@@ -81,9 +81,9 @@ def heard_after(measurement: Measurement, changes: Changes) -> Measurement:
     if isinstance(measurement, WheelAngle):
         return replace(measurement, angle=wheel_after(measurement.angle, changes))
     mount = measurement.origin.mount
-    if mount is None or changes.who == (0, 1, 2, 3):
+    if mount is None or changes.assignment == (0, 1, 2, 3):
         return measurement
-    stands = MOUNTS[changes.who.index(MOUNTS.index(mount))]
+    stands = MOUNTS[changes.assignment.index(MOUNTS.index(mount))]
     return replace(measurement, origin=replace(measurement.origin, mount=stands))
 
 
@@ -111,8 +111,8 @@ def named(changes: Changes) -> dict[str, float]:
     found["ackermann"] = changes.ackermann
     for names, values in (
         (("longer_t", "longer_i"), changes.longer), (("pair_t", "pair_i"), changes.pair),
-        (("lever_t", "lever_i"), changes.forward), (("aside_t", "aside_i"), changes.aside),
-        (("c", "d"), changes.hitch), (LATENCIES, changes.late), (ROLL_ZEROS, changes.roll_zero),
+        (("lever_t", "lever_i"), changes.forward), (("aside_t", "aside_i"), changes.lateral_offset),
+        (("c", "d"), changes.hitch), (LATENCIES, changes.delay), (ROLL_ZEROS, changes.roll_zero),
     ):  # fmt: skip
         found |= dict(zip(names, values.tolist(), strict=True))
     return found
@@ -128,12 +128,14 @@ def applied(machine: Machine, changes: Changes, sds: Mapping[str, float] | None 
     return _wheel_set(changed(_placed(machine, changes), amounts), changes)
 
 
-def not_early(machine: Machine, who: tuple[int, ...], late: Array) -> Array:
+def not_early(machine: Machine, assignment: tuple[int, ...], delay: Array) -> Array:
     """Changes of the latencies, (4,), s, raised together where one would make a latency shorter than can be:
-    cut off there, what is known of their differences would be lost. who: as in Changes."""
+    cut off there, what is known of their differences would be lost. assignment: as in Changes."""
     stated = {r.mount: r.latency.value for r in machine.receiver}
-    least = min(stated.get(MOUNTS[device], 0.0) + by for device, by in zip(who, late.tolist(), strict=True))
-    return np.asarray(late + max(SHORTEST_LATENCY_S - least, 0.0))
+    least = min(
+        stated.get(MOUNTS[device], 0.0) + by for device, by in zip(assignment, delay.tolist(), strict=True)
+    )
+    return np.asarray(delay + max(SHORTEST_LATENCY_S - least, 0.0))
 
 
 def _placed(machine: Machine, changes: Changes) -> Machine:
@@ -141,7 +143,7 @@ def _placed(machine: Machine, changes: Changes) -> Machine:
     by_mount = {r.mount: r for r in machine.receiver}
     receivers = []
     for k, mount in enumerate(MOUNTS):
-        there, device = by_mount.get(mount), by_mount.get(MOUNTS[changes.who[k]])
+        there, device = by_mount.get(mount), by_mount.get(MOUNTS[changes.assignment[k]])
         if there is None or device is None:
             continue
         sign, zero, corrected = changes.roll_sign[k], device.roll_zero, changes.roll_corrected[k]

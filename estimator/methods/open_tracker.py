@@ -126,7 +126,7 @@ def misfit(state: TrackerState, machine: Machine) -> Misfit:
 
 def is_rough(state: TrackerState) -> bool:
     """Whether the ground is so uneven that the result may be a divergence."""
-    return math.sqrt(state.push[3]) > ROUGH
+    return math.sqrt(state.disturbance[3]) > ROUGH
 
 
 def _rejected(rows: list[tuple[float, float]]) -> float:

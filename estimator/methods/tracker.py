@@ -18,7 +18,7 @@ from tilth.estimator.filters.predictor import run_filter
 from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_STATES, START, X_PSI, X_PUSH, X_ROLL, X_SLOPE
+from tilth.estimator.filters.states import DT, N_STATES, START, X_BANK, X_DISTURBANCE, X_PSI, X_ROLL
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -70,8 +70,8 @@ information comes mostly from the ground's forces."""
 STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
 HELD_WITHIN: Final = math.radians(1.5)  # wheels that stay within so much of an angle are held
 LONGEST_HELD: Final = 25  # segments, 5 s
-FIRST_LOOK_S: Final = 10.0
-FIRST_LOOK_SD: Final = 0.3
+INITIAL_PHASE_S: Final = 10.0
+INITIAL_PHASE_SD: Final = 0.3
 """Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
 lost. So what is learned from first, for so long, takes slopes where the rig is estimated to be, and after it
 the six have at least this sd and are correlated with nothing."""
@@ -81,14 +81,14 @@ SETTLES: Final = 5
 """Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
 slip angles would be taken for stiffness."""
 
-PUSH_LENGTH: Final = 0.45  # m, over which the ground's pushes last; pem finds 0.1 s at 4.5 m/s
+DISTURBANCE_LENGTH: Final = 0.45  # m, over which the ground's pushes last; pem finds 0.1 s at 4.5 m/s
 SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
-PUSH_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
-FIRST_PUSHES: Final = 15.0
+DISTURBANCE_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
+INITIAL_DISTURBANCES: Final = 15.0
 """The memory for pushes that are larger than expected, after a start; it grows with the segments. Until rough
 ground is taken for what it is, its forces are learned as tyres."""
-PUSH_FORGETTING: Final = 1000.0  # segments over which these return to their prior
-LARGEST_PUSH: Final = 5.0  # largest ratio of observed to expected variance that one segment contributes
+DISTURBANCE_FORGETTING: Final = 1000.0  # segments over which these return to their prior
+LARGEST_VARIANCE_RATIO: Final = 5.0  # of observed to expected variance, that one segment contributes
 LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # limits of the factor on a stated sd
 LARGEST_CHANGE: Final = 0.7  # limit of the change of a logarithm that is applied at a change of soil
 
@@ -102,7 +102,7 @@ class TrackerState:
     prior_mean: Vector
     prior_sd: Vector
     x: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
-    steered: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
+    instrument: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
     """x as it would be by steering alone, with the unknowns as they are estimated."""
     P_xx: Annotated[Array, Shape((N_STATES, N_STATES))] = field(
         default_factory=lambda: np.zeros((N_STATES, N_STATES))
@@ -112,11 +112,11 @@ class TrackerState:
     )
     residual_ratio: Annotated[Array, Shape((SENSORS,))] = field(default_factory=lambda: np.ones(SENSORS))
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
-    push: Annotated[Array, Shape((4,))] = field(
+    disturbance: Annotated[Array, Shape((4,))] = field(
         default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])
     )
     """Variances of the ground's pushes and of its unevenness."""
-    segments_adapted: int = 0  # to which `push` has been adapted
+    segments_adapted: int = 0  # to which `disturbance` has been adapted
     running: bool = False  # x is the state at the start of the next segment
     segments_since_start: int = 0  # segments since the last restart of x
     pending: Record | None = None
@@ -216,9 +216,9 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.running = False
         return
     setup = rig_setup(machine)
-    sds = np.sqrt(state.push)
+    sds = np.sqrt(state.disturbance)
     speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
-    ground = GroundNoise(sds[:3], PUSH_LENGTH / speed, float(sds[3]))
+    ground = GroundNoise(sds[:3], DISTURBANCE_LENGTH / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
@@ -235,9 +235,9 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
-        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.steered),
+        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.instrument),
         setup, active, considered, ground, tally,
-        state.by_steering and state.window_s >= FIRST_LOOK_S,
+        state.by_steering and state.window_s >= INITIAL_PHASE_S,
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -262,7 +262,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = likelihood.first_state(record, setup)
-    state.steered = state.x.copy()
+    state.instrument = state.x.copy()
     state.P_xx = first_covariance(float(record.ticks[0, U]), ground, setup)
     state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
@@ -270,12 +270,12 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Groun
 
 
 def _keep_near(state: TrackerState) -> None:
-    """Begin `steered` anew where it has run away from x: with some tyres, a rig turns round by itself."""
-    off = state.steered - state.x
+    """Begin `instrument` anew where it has run away from x: with some tyres, a rig turns round by itself."""
+    off = state.instrument - state.x
     articulation = off[X_PSI] - off[X_PSI + 1]
     if np.any(np.abs(off[:X_ROLL]) > FAR_OFF) or abs(articulation) > FAR_OFF[1]:
-        state.steered[:] = 0.0
-        state.steered[:X_PUSH] = state.x[:X_PUSH]
+        state.instrument[:] = 0.0
+        state.instrument[:X_DISTURBANCE] = state.x[:X_DISTURBANCE]
 
 
 def _check_learnable(state: TrackerState, record: Record) -> bool:
@@ -306,8 +306,8 @@ def _count(state: TrackerState, record: Record, tight: bool) -> None:
     state.hard += seconds * fit_covariance.lateral_square(record)
     before, state.window_s = state.window_s, state.window_s + seconds
     state.tight_s += seconds if tight else 0.0
-    if state.by_steering and before < FIRST_LOOK_S <= state.window_s:
-        sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), FIRST_LOOK_SD)
+    if state.by_steering and before < INITIAL_PHASE_S <= state.window_s:
+        sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), INITIAL_PHASE_SD)
         _decorrelate_six(state, sds)
 
 
@@ -359,21 +359,21 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     stated = np.clip(state.residual_ratio, LOW_NOISE**2, HIGH_NOISE**2)
     state.mean[AT["s_yaw_rate"] : AT["s_roll"] + 1] = 0.5 * np.log(stated)
     ground = np.vstack([ground[:3], ground[3:].sum(axis=0)])  # both bodies' unevenness has one sd
-    ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, LARGEST_PUSH)
+    ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, LARGEST_VARIANCE_RATIO)
     state.segments_adapted += 1
-    short = min(max(float(state.segments_adapted), FIRST_PUSHES), PUSH_VARIANCE_MEMORY)
-    memory = np.where(ratio > 1.0, short, PUSH_VARIANCE_MEMORY)
+    short = min(max(float(state.segments_adapted), INITIAL_DISTURBANCES), DISTURBANCE_VARIANCE_MEMORY)
+    memory = np.where(ratio > 1.0, short, DISTURBANCE_VARIANCE_MEMORY)
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
-    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / memory
-    state.push = np.exp(
-        logs + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs) / PUSH_FORGETTING
+    logs = np.log(state.disturbance) + 0.5 * (ratio - 1.0) / memory
+    state.disturbance = np.exp(
+        logs + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs) / DISTURBANCE_FORGETTING
     )
 
 
 def _detect_soil_change(state: TrackerState) -> None:
     """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
-    if change is not None and change.ratio > soil_change.limit(math.sqrt(state.push[3])):
+    if change is not None and change.ratio > soil_change.limit(math.sqrt(state.disturbance[3])):
         _forget_soil(state, change.logs)
         return
     state.segments_since_checkpoint += 1
@@ -414,7 +414,7 @@ def reported_covariance(state: TrackerState) -> Array:
     tight = state.tight_s > fit_covariance.TIGHT_SHARE * state.window_s
     lateral = math.sqrt(state.hard / max(state.window_s, DT))
     room = fit_covariance.model_sd(
-        tight, lateral, math.sqrt(state.push[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
+        tight, lateral, math.sqrt(state.disturbance[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
     )
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 
@@ -429,7 +429,7 @@ def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
 
 
 def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
-    push_t, push_i, push_yaw, _ = np.sqrt(state.push).tolist()
+    disturbance_t, disturbance_i, disturbance_yaw, _ = np.sqrt(state.disturbance).tolist()
     excitation = {
         "distance_m": state.distance,
         "soil_changes": float(state.changes),
@@ -438,12 +438,12 @@ def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
         "beyond_belief": float(state.counts[GATED]),
         "no_numbers": float(state.counts[BAD]),
         "steering_deg": math.degrees(math.sqrt(state.steering)),
-        "push_t": push_t,
-        "push_i": push_i,
-        "push_yaw": push_yaw,
+        "push_t": disturbance_t,
+        "push_i": disturbance_i,
+        "push_yaw": disturbance_yaw,
     }
     if state.running:
-        slope = math.asin(max(-1.0, min(1.0, float(state.x[X_SLOPE]) / GRAVITY)))
+        slope = math.asin(max(-1.0, min(1.0, float(state.x[X_BANK]) / GRAVITY)))
         leans = (float(state.x[X_ROLL]), float(state.x[X_ROLL + 1]), slope)
         excitation |= {name: math.degrees(angle) for name, angle in zip(LEANS, leans, strict=True)}
     if state.changed_ns:

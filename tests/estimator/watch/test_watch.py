@@ -15,9 +15,9 @@ from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESES, HYPOTHESIS, PAIRS, 
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.accepted import acceptance, corrected, line_of
-from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
+from tilth.estimator.watch.hypotheses import Explanation, hypotheses
+from tilth.estimator.watch.information import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
-from tilth.estimator.watch.suspects import Explanation, suspects
 from tilth.estimator.watch.watch import BLOCK, WatchState
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Mount, Pose
@@ -226,7 +226,7 @@ def test_what_is_moved_changes_measurements_as_its_directions_say(
         readings.append(rows(RIG, found))
     (kinds, design, before), (_, _, after) = readings
     assert list(kinds) == list(range(KINDS))
-    moved = next(suspect for suspect in suspects(MACHINE) if suspect.name == name)
+    moved = next(hypothesis for hypothesis in hypotheses(MACHINE) if hypothesis.name == name)
     assert after - before == pytest.approx(design @ moved.directions @ np.array(amounts), abs=0.0005)
 
 

@@ -7,24 +7,24 @@ import numpy as np
 
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.changes import BODY, LATENCIES, ROLL_ZEROS, Changes, applied
-from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict
+from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE, RigVerdict
 from tilth.schemas.machine import Machine
 
 
-def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
+def identified_changes(found: Calibration, verdict: RigVerdict) -> Changes:
     """The changes without those of numbers that the drive does not tell."""
-    without = {one.number.name for one in verdict.told if one.status == NOT_TOLD}
+    without = {one.number.name for one in verdict.numbers if one.status == NOT_IDENTIFIABLE}
     changes = found.changes
 
     def of(values: np.ndarray, *names: str) -> np.ndarray:
         return np.where([name in without for name in names], 0.0, values)
 
-    late = changes.late - (np.mean(changes.late) if "latency" in without else 0.0)
+    delay = changes.delay - (np.mean(changes.delay) if "latency" in without else 0.0)
     return replace(
         changes,
-        late=late,
+        delay=delay,
         forward=of(changes.forward, "lever_t", "lever_i"),
-        aside=of(changes.aside, "aside_t", "aside_i"),
+        lateral_offset=of(changes.lateral_offset, "aside_t", "aside_i"),
         pair=of(changes.pair, "pair_t", "pair_i"),
         hitch=of(changes.hitch, "c", "d"),
         ackermann=0.0 if "ackermann" in without else changes.ackermann,
@@ -37,11 +37,11 @@ def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
     )
 
 
-def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> Machine:
+def calibrated_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> Machine:
     """machine: as it was read."""
-    sds = {one.number.name: one.sd for one in verdict.told if one.status != NOT_TOLD}
-    late = sds.pop("latency", None)
-    if late is not None:  # the mean of all four has some of late_sd already
+    sds = {one.number.name: one.sd for one in verdict.numbers if one.status != NOT_IDENTIFIABLE}
+    delay = sds.pop("latency", None)
+    if delay is not None:  # the mean of all four has some of delay_sd already
         for name, body in zip(LATENCIES, BODY, strict=True):
-            sds[name] = math.hypot(late, found.late_sd[body] / 2.0, found.late_sd[2] / 2.0)
-    return applied(machine, told_changes(found, verdict), sds)
+            sds[name] = math.hypot(delay, found.delay_sd[body] / 2.0, found.delay_sd[2] / 2.0)
+    return applied(machine, identified_changes(found, verdict), sds)

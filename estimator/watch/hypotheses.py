@@ -1,6 +1,6 @@
 """What may have been moved, and how well each explains the difference between what was and what is.
 
-A change adds `directions @ amounts` to the constants of evidence.py. Those of old samples, plus drift,
+A change adds `directions @ amounts` to the constants of information.py. Those of old samples, plus drift,
 predict those of new samples. The likelihood ratio of "this has changed" against "nothing has" is a chi-square
 in as many degrees of freedom as there are amounts, largest for what fits best.
 """
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
 from tilth.estimator.rig.numbers import HYPOTHESES, PAIRS, WHEEL_SPEED, Hypothesis
-from tilth.estimator.watch.evidence import (
+from tilth.estimator.watch.information import (
     AT,
     HITCH,
     LONGER,
     PAIR,
-    Evidence,
+    InformationForm,
     Lengths,
     N,
     drift,
@@ -34,7 +34,7 @@ SMALL: Final = 1e-9  # keeps a direction of which the samples tell nothing from 
 
 
 @dataclass(frozen=True, slots=True)
-class Suspect:
+class FaultSignature:
     """Something that may have been moved."""
 
     name: str  # a row of HYPOTHESES
@@ -51,13 +51,15 @@ class Explanation(NamedTuple):
 
 
 @once_for_a_machine
-def suspects(machine: Machine) -> tuple[Suspect, ...]:
+def hypotheses(machine: Machine) -> tuple[FaultSignature, ...]:
     """All of a machine file with four receivers."""
     rig = lengths(machine)
     receivers = {mount.value: _moved(rig, k) for k, mount in enumerate(MOUNTS)}
     pairs = {name: _turned(rig, body) for body, name in enumerate(PAIRS)}
     return tuple(
-        Suspect(row.name, (receivers | pairs)[row.name] if row.name in receivers | pairs else _alone(row))
+        FaultSignature(
+            row.name, (receivers | pairs)[row.name] if row.name in receivers | pairs else _alone(row)
+        )
         for row in HYPOTHESES
         if row.name != WHEEL_SPEED
     )
@@ -90,13 +92,13 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def posterior(evidence: Evidence) -> tuple[Array, Array]:
+def posterior(evidence: InformationForm) -> tuple[Array, Array]:
     """(mean (N,), covariance (N, N)) of the constants."""
     covariance = _inverse(evidence.information + prior_information())
     return covariance @ evidence.vector, covariance
 
 
-def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> list[Explanation]:
+def judge(machine: Machine, mean: Array, covariance: Array, now: InformationForm) -> list[Explanation]:
     """Every suspect, the best explanation first.
 
     mean (N,), covariance (N, N): of the constants by samples before `now`, without drift.
@@ -105,10 +107,10 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> li
     kept = np.linalg.inv(np.eye(N) + now.information @ allowed)
     score, weight = kept @ (now.vector - now.information @ mean), kept @ now.information
     found = []
-    for suspect in suspects(machine):
-        d = suspect.directions
+    for hypothesis in hypotheses(machine):
+        d = hypothesis.directions
         spread = _inverse(d.T @ weight @ d + SMALL * np.eye(d.shape[1]))
         along = d.T @ score
         amounts = spread @ along
-        found.append(Explanation(suspect.name, float(along @ amounts), amounts, spread))
+        found.append(Explanation(hypothesis.name, float(along @ amounts), amounts, spread))
     return sorted(found, key=lambda explanation: -explanation.chi_square)

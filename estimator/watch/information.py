@@ -41,7 +41,7 @@ def _at(*names: str) -> list[int]:
 
 LONGER: Final = _at("longer_t", "longer_i")
 HITCH: Final = _at("c", "aside_t", "d", "aside_i")
-LATE: Final = _at(*(f"latency_{mount.value}" for mount in MOUNTS))
+DELAY: Final = _at(*(f"latency_{mount.value}" for mount in MOUNTS))
 PAIR, TURN, ROLL = (_at(f"{name}_t", f"{name}_i") for name in ("pair", "crab_per_turn", "crab_per_roll"))
 WHEEL_ROW: Final = _at("wheel_zero", "wheel_gain", "wheel_per_turn", "wheel_per_roll")
 
@@ -136,18 +136,18 @@ def _lengths_and_gap(rig: Lengths, now: Sample, along: Array, across: Array, des
     """The first four rows. A receiver that is s seconds late reports a point s times its velocity behind."""
     for body in (0, 1):
         design[body, LONGER[body]] = 1.0
-        design[body, LATE[2 * body : 2 * body + 2]] = -along[2 * body], along[2 * body + 1]
+        design[body, DELAY[2 * body : 2 * body + 2]] = -along[2 * body], along[2 * body + 1]
     cosine, sine = math.cos(now.articulation), math.sin(now.articulation)
     turned = np.array([[cosine, -sine], [sine, cosine]])  # from the tractor's axes to the implement's
     behind = np.array([-0.5 * along, -rig.shares * across])
     design[2:4, HITCH[:2]] = turned
     design[2:4, HITCH[2:]] = np.diag([1.0, -1.0])
-    design[2:4, LATE[:2]] = turned @ behind[:, :2]
-    design[2:4, LATE[2:]] = -behind[:, 2:]
+    design[2:4, DELAY[:2]] = turned @ behind[:, :2]
+    design[2:4, DELAY[2:]] = -behind[:, 2:]
 
 
 @dataclass(slots=True)
-class Evidence:
+class InformationForm:
     """Normal equations of the constants."""
 
     information: Array = field(default_factory=lambda: np.zeros((N, N)))  # in their units^-2
