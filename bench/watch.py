@@ -31,8 +31,8 @@ from scipy.stats import chi2
 from spatial_logs import CACHE, ROW, Run, seeds_of
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis import watch
 from tilth.estimator.rig.numbers import PAIRS, WHEEL
-from tilth.estimator.watch import watch
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import Event, EventKind, Frame, Mount, Pose
 from tilth.schemas.machine import Machine

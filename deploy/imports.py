@@ -37,7 +37,6 @@ HOLDS = {
     "models": "how the rig moves",
     "rig": "its numbers",
     "pose": "both bodies, now",
-    "watch": "what was moved",
     "record": "data on ticks",
     "filters": "likelihoods",
     "diagnosis": "is the file right",

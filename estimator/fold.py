@@ -10,8 +10,10 @@ from typing import Any
 
 from tilth.estimator import warm_start
 from tilth.estimator.diagnosis import diagnosis
+from tilth.estimator.diagnosis.accepted import acceptance, corrected
 from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
 from tilth.estimator.diagnosis.directive import Directive
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.methods import open_tracker
 from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
 from tilth.estimator.methods.open_tracker import OpenTracker
@@ -31,8 +33,6 @@ from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch.accepted import acceptance, corrected
-from tilth.estimator.watch.watch import Moved
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (

@@ -7,6 +7,7 @@ then continue without it. The machine file is not part of the text: the log hold
 import json
 from typing import Any, Final
 
+from tilth.estimator.diagnosis.accepted import corrected
 from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
 from tilth.estimator.fold import State, estimates_now
 from tilth.estimator.methods.estimators import rows_for
@@ -17,7 +18,6 @@ from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import Stored, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch.accepted import corrected
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine

@@ -7,7 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from tilth.estimator.diagnosis import diagnosis
+from tilth.estimator.diagnosis import diagnosis, watch
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import (
     RECOMMENDED,
     State,
@@ -29,8 +30,6 @@ from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch import watch
-from tilth.estimator.watch.watch import Moved
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (

@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from tilth.estimator.diagnosis import watch
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch import watch
-from tilth.estimator.watch.watch import Moved
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine

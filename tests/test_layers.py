@@ -18,7 +18,6 @@ ROOMS = {
         "models",
         "rig",
         "pose",
-        "watch",
         "record",
         "filters",
         "diagnosis",

@@ -7,17 +7,16 @@ the record takes it, and at the file when the open tracker has taken it. What fo
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from tilth.estimator.diagnosis import consistency
+from tilth.estimator.diagnosis import consistency, watch, wheel_speed
 from tilth.estimator.diagnosis.consistency import Consistency
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.open_numbers import OpenEvidence
+from tilth.estimator.diagnosis.watch import Moved, WatchState
 from tilth.estimator.pose import aligner as aligners
 from tilth.estimator.pose import receiver_checks, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.standing import StandingCheck
-from tilth.estimator.watch import watch, wheel_speed
-from tilth.estimator.watch.watch import Moved, WatchState
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import Accepted, Estimate, EventKind, Flag, Pose
 from tilth.schemas.machine import Machine

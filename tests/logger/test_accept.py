@@ -12,10 +12,10 @@ from logs import MACHINE
 from loopback import records_of, rig, until
 
 from tilth.cli import main
+from tilth.estimator.diagnosis.hypotheses import judge, posterior
+from tilth.estimator.diagnosis.information import InformationForm, N
+from tilth.estimator.diagnosis.watch import Moved, directions_of
 from tilth.estimator.rig.numbers import WHEEL
-from tilth.estimator.watch.hypotheses import judge, posterior
-from tilth.estimator.watch.information import InformationForm, N
-from tilth.estimator.watch.watch import Moved, directions_of
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon

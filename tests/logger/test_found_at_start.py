@@ -16,11 +16,11 @@ from logs import MACHINE
 from loopback import numbered, rig
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis.information import InformationForm
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import save_learned
 from tilth.estimator.methods import pem
 from tilth.estimator.rig.numbers import WHEEL
-from tilth.estimator.watch.information import InformationForm
-from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay

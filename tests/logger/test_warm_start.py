@@ -13,6 +13,8 @@ from logs import MACHINE, MACHINE_TEXT
 from loopback import rig
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis.information import InformationForm
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
@@ -21,8 +23,6 @@ from tilth.estimator.rig.lifecycle import Case
 from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import DOUBLES_S
-from tilth.estimator.watch.information import InformationForm
-from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon

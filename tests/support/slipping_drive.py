@@ -5,9 +5,9 @@ import math
 import numpy as np
 from circle import START_NS, demo_machine
 
+from tilth.estimator.diagnosis import wheel_speed
+from tilth.estimator.diagnosis.wheel_speed import Instant, WheelSpeedState
 from tilth.estimator.pose.aligner import POSE_NS
-from tilth.estimator.watch import wheel_speed
-from tilth.estimator.watch.wheel_speed import Instant, WheelSpeedState
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.machine import Machine, Quantity
 

@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.diagnosis.sample import BodySample, Sample
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
 from tilth.estimator.rig.numbers import NUMBERS
-from tilth.estimator.watch.sample import BodySample, Sample
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]

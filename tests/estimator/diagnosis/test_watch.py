@@ -9,16 +9,16 @@ from circle import START_NS, Circle, demo_machine
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis import watch
+from tilth.estimator.diagnosis.accepted import acceptance, corrected, line_of
+from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses
+from tilth.estimator.diagnosis.information import AT, KINDS, N, lengths, rows
+from tilth.estimator.diagnosis.sample import BodySample, Sample, sample
+from tilth.estimator.diagnosis.watch import BLOCK, WatchState
 from tilth.estimator.pose import aligner
 from tilth.estimator.record.record import KIND, NORTH, PLACE, VELOCITY
 from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESES, HYPOTHESIS, PAIRS, WHEEL
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.watch import watch
-from tilth.estimator.watch.accepted import acceptance, corrected, line_of
-from tilth.estimator.watch.hypotheses import Explanation, hypotheses
-from tilth.estimator.watch.information import AT, KINDS, N, lengths, rows
-from tilth.estimator.watch.sample import BodySample, Sample, sample
-from tilth.estimator.watch.watch import BLOCK, WatchState
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Mount, Pose
 from tilth.simulator.traffic import simulate

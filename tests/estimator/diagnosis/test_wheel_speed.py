@@ -9,19 +9,19 @@ from circle import START_NS
 from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 
 from tilth.estimator import fold
-from tilth.estimator.pose import aligner
-from tilth.estimator.pose.aligner import POSE_NS
-from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
-from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.watch import watch, wheel_speed
-from tilth.estimator.watch.accepted import acceptance, corrected, line_of
-from tilth.estimator.watch.wheel_speed import (
+from tilth.estimator.diagnosis import watch, wheel_speed
+from tilth.estimator.diagnosis.accepted import acceptance, corrected, line_of
+from tilth.estimator.diagnosis.wheel_speed import (
     AGREE,
     AGREEING,
     STAND_NS,
     Instant,
     floor_of,
 )
+from tilth.estimator.pose import aligner
+from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
+from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.diagnosis import DiagnosisState
 from tilth.schemas.flow import Accepted, Origin, VehicleSpeed
 from tilth.schemas.machine import Machine, Quantity

@@ -15,12 +15,12 @@ from circle import demo_machine
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis.accepted import corrected
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.rig.numbers import DRAWBAR, PAIRS, WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import to_json_data
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch.accepted import corrected
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Accepted, Estimate, Event, Frame, Status
 from tilth.schemas.machine import Machine

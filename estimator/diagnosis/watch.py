@@ -12,12 +12,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
-from tilth.estimator.rig.lifecycle import Persistence
-from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
-from tilth.estimator.watch import wheel_speed
-from tilth.estimator.watch.hypotheses import Explanation, hypotheses, judge, posterior
-from tilth.estimator.watch.information import (
+from tilth.estimator.diagnosis import wheel_speed
+from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses, judge, posterior
+from tilth.estimator.diagnosis.information import (
     KINDS,
     InformationForm,
     N,
@@ -26,8 +23,11 @@ from tilth.estimator.watch.information import (
     prior_information,
     rows,
 )
-from tilth.estimator.watch.sample import sample
-from tilth.estimator.watch.wheel_speed import WheelSpeedState
+from tilth.estimator.diagnosis.sample import sample
+from tilth.estimator.diagnosis.wheel_speed import WheelSpeedState
+from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.rig.lifecycle import Persistence
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
 from tilth.schemas.machine import Machine

@@ -11,10 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.aligner import MOUNTS
-from tilth.estimator.rig.numbers import HYPOTHESES, PAIRS, WHEEL_SPEED, Hypothesis
-from tilth.estimator.watch.information import (
+from tilth.estimator.diagnosis.information import (
     AT,
     HITCH,
     LONGER,
@@ -26,6 +23,9 @@ from tilth.estimator.watch.information import (
     lengths,
     prior_information,
 )
+from tilth.estimator.once import once_for_a_machine
+from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.numbers import HYPOTHESES, PAIRS, WHEEL_SPEED, Hypothesis
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
