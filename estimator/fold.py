@@ -5,33 +5,31 @@ frames in their order.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from tilth.estimator import warm_start
 from tilth.estimator.diagnosis import diagnosis
 from tilth.estimator.diagnosis.accepted import acceptance, corrected
-from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.watch import Moved
+from tilth.estimator.fits import decide as decide
+from tilth.estimator.fits import finish as finish
+from tilth.estimator.fits import pending as pending
+from tilth.estimator.fits import request_fits as request_fits
 from tilth.estimator.methods import open_tracker
-from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
-from tilth.estimator.methods.open_tracker import OpenTracker
+from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
-from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
-from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import Segment
-from tilth.estimator.record.record_builder import RecordState
-from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
 from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
+from tilth.estimator.state import State as State
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
@@ -40,8 +38,6 @@ from tilth.schemas.flow import (
     Estimate,
     Event,
     EventKind,
-    FitOutcome,
-    Flag,
     FlagKind,
     Frame,
     Measurement,
@@ -55,58 +51,6 @@ from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import sentence
 
 POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
-
-
-@dataclass(slots=True)
-class State:
-    """The whole state of the fold. `step` changes it in place; nothing else does."""
-
-    machine: Machine
-    decoder: Decoder
-    aligner: Aligner
-    record: RecordState
-    open: OpenTracker  # whose evidence the diagnosis weighs
-    estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
-    diagnosis: RigDiagnosis = field(default_factory=RigDiagnosis)  # is the machine file right
-    accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
-    previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
-    """Method -> what the run before had learned, from which this run has started."""
-    previous_run_ns: int = 0  # when that run had saved them
-    frames: int = 0
-    measurements: int = 0
-    poses: int = 0
-    ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
-    clock_steps: int = 0
-    not_numbers: int = 0  # measurements refused because a value is not finite
-    time: LogTime = field(default_factory=LogTime)  # of the log
-    recognition: Recognition = field(default_factory=Recognition)  # of receivers that claim no address
-    flags: tuple[Flag, ...] = ()  # of the last pose
-    flag_times: dict[str, int] = field(default_factory=dict)  # flag -> how often it has begun, of OFTEN
-    place: tuple[float, float, float, float] | None = None
-    """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
-    disagree: bool = False  # whether the methods disagree
-    segments: list[Segment | None] = field(default_factory=list)
-    """What each pose of the last frame completed; for who analyses a drive afterwards."""
-    estimates: dict[str, Estimate] = field(default_factory=dict)  # method -> latest estimate, as published
-
-    @property
-    def latest_ns(self) -> int:
-        """Greatest t_ns since the last step back of the log's clock."""
-        return self.time.latest_ns
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Reason -> count, of frames and measurements that were not used."""
-        counts = self.decoder.rejected | self.aligner.screens.rejected
-        if self.aligner.lateness.late:
-            counts["late"] = self.aligner.lateness.late
-        if self.clock_steps:
-            counts["clock_step"] = self.clock_steps
-        if self.time.stray:
-            counts["other_time"] = self.time.stray
-        if self.not_numbers:
-            counts["not_a_number"] = self.not_numbers
-        return counts
 
 
 def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
@@ -398,42 +342,6 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     state.disagree = bool(found)
     best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
     out.append(Publication(t_ns, "/soil_tire", best))
-
-
-def finish(state: State) -> None:
-    """No frame follows: the windows of driving that are open now are complete, and fits may be requested."""
-    for method, fitting in FITTED:
-        if method in state.estimators:
-            fitting.finish(state.estimators[method])
-
-
-def request_fits(state: State, t_ns: int) -> list[tuple[str, Any]]:
-    """(method, job) of the fits that are requested after the frame of t_ns; `ROW[method].fitting` makes
-    them."""
-    jobs = []
-    for method, fitting in FITTED:  # at every frame: those that are not enabled have no state
-        method_state = state.estimators.get(method)
-        job = fitting.request_fit(method_state, t_ns) if method_state is not None else None
-        if job is not None:
-            jobs.append((method, job))
-    return jobs
-
-
-def pending(state: State) -> list[tuple[str, Any, int]]:
-    """(method, job, t_ns at which its result is due) of the fits that were requested and not adopted yet."""
-    return [
-        (method, method_state.job, method_state.job.asked_ns + fitting.latency_ns)
-        for method, fitting in FITTED
-        if (method_state := state.estimators.get(method)) is not None and method_state.job is not None
-    ]
-
-
-def decide(state: State, outcome: FitOutcome) -> None:
-    """Store the outcome of a method's pending fit, for a program that restores the state before the fit is
-    used."""
-    method_state = state.estimators[outcome.method]
-    method_state.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
-    method_state.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:

@@ -21,7 +21,7 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.rig.lifecycle import Case, Persistence
+from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
@@ -65,7 +65,7 @@ class Consistency:
 
     wheel: WheelCheck = field(default_factory=WheelCheck)
     motion: MotionCheck = field(default_factory=MotionCheck)
-    cases: dict[str, Case] = field(default_factory=dict)  # by key
+    cases: dict[str, FaultCase] = field(default_factory=dict)  # by key
     confirmed: bool = False
     was_confirmed: bool = False  # at some time of this run
     pairs_known: bool = (
@@ -243,7 +243,7 @@ def _update(
     """Update the cases with the findings of one pose."""
     directive = Directive()
     for key, one in found.items():
-        case = state.cases.setdefault(key, Case(replace(one, since_ns=t_ns), one))
+        case = state.cases.setdefault(key, FaultCase(replace(one, since_ns=t_ns), one))
         opened = one.code is Code.DRIVING_FINDS
         if not case.found(one, PARAMETERS.least_poses_open if opened else PARAMETERS.least_poses):
             continue

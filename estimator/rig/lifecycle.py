@@ -22,7 +22,7 @@ class Persistence:
 
 
 @dataclass(slots=True)
-class Case:
+class FaultCase:
     """One thing that may be wrong, from when it is found first until it is over."""
 
     diagnosis: Diagnosis  # as it was found last, until it is isolated

@@ -16,7 +16,7 @@ from tilth.estimator.fold import State, initial, step
 from tilth.estimator.methods import open_tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, Estimator
 from tilth.estimator.methods.open_tracker import OpenTracker
-from tilth.estimator.rig.lifecycle import Case, Persistence
+from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.snapshot import VERSION, NotRestorable, restore, restore_decoder, snapshot
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
@@ -81,7 +81,7 @@ def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
         Code.DRIVING_FINDS, "tractor.a", ("a",), ("a",), (0.1,), (0.2,), 7, DiagnosisState.ISOLATED
     )
     state.methods = {"pem": [one]}
-    state.cases = {"a": Case(one, one, Persistence(1, 2), 3)}
+    state.cases = {"a": FaultCase(one, one, Persistence(1, 2), 3)}
     tracker = changed(open_tracker.initial(MACHINE).tracker)
     open_state = OpenTracker(tracker, 7, [(1.0, 2.0)])
     again = from_json_data(OpenTracker, json.loads(json.dumps(to_json_data(open_state))))

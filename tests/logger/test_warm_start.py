@@ -19,7 +19,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
-from tilth.estimator.rig.lifecycle import Case
+from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import DOUBLES_S
@@ -351,7 +351,7 @@ def test_what_the_next_run_has_to_know_is_kept_at_once(
     assert state.diagnosis.consistency.confirmed and not a_second_later(daemon)
     if what == "contradiction":
         finding = Diagnosis(Code.WHEEL_OPPOSITE, "wheel_angle.sign", state=DiagnosisState.ISOLATED)
-        state.diagnosis.consistency.cases[finding.key] = Case(finding, finding)
+        state.diagnosis.consistency.cases[finding.key] = FaultCase(finding, finding)
     elif what in ("slipped", "displaced"):
         state.diagnosis.watch.moved = [slipped() if what == "slipped" else displaced()]
     elif "accepted" in what:
