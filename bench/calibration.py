@@ -32,7 +32,7 @@ from tilth.estimator.calibration.calibrated_file import calibrated_machine
 from tilth.estimator.calibration.changes import Changes, Linkage, applied, heard_after, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.linkage import KINGPIN
-from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.decode import Decoder
@@ -280,7 +280,7 @@ def _table(errors: dict[str, list[tuple[float, float]]]) -> None:
     print("| number | within 2 sd | median sd | wanted | rms error | rms error/sd, mean error/sd |")
     print("|---|---|---|---|---|---|")
     every: list[float] = []
-    for number in NUMBERS:
+    for number in SOUGHT:
         for key in (number.name, f"planar {number.name}", f"spatial {number.name}"):
             rows = np.array(errors.get(key, [])).reshape(-1, 2)
             if not len(rows):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 from spatial_logs import CHANGE_S, DROP, ROW
 
-from tilth.estimator.methods.consistency import CONTRADICTION
+from tilth.estimator.diagnosis.consistency import CONTRADICTION
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]

@@ -31,10 +31,10 @@ from scipy.stats import chi2
 from spatial_logs import CACHE, ROW, Run, seeds_of
 
 from tilth.estimator import fold
-from tilth.estimator.watch import watch
-from tilth.estimator.watch.hypotheses import PAIRS, WHEEL
+from tilth.estimator.diagnosis import watch
+from tilth.estimator.rig.numbers import PAIRS, WHEEL
 from tilth.replay.readers.any_log import frames
-from tilth.schemas.flow import Event, Frame, Mount, Pose
+from tilth.schemas.flow import Event, EventKind, Frame, Mount, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.sentences import event_sentence
@@ -159,14 +159,15 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
                 value = publication.value
                 if isinstance(value, Pose):
                     poses += 1
-                    blocks = state.watch.old_blocks + len(state.watch.blocks)
+                    blocks = state.diagnosis.watch.old_blocks + len(state.diagnosis.watch.blocks)
                     watched += blocks >= watch.LEAST_BEFORE + watch.SINCE[0]
                 elif (
                     isinstance(value, Event)
-                    and value.kind == watch.EVENT
+                    and value.kind == EventKind.MOVED
                     and "accept it" in event_sentence(value)
                 ):
-                    names = tuple(state.watch.moved[-1].names) if state.watch.moved else ()
+                    moved = state.diagnosis.watch.moved
+                    names = tuple(moved[-1].names) if moved else ()
                     events.append((value.t_ns, names, event_sentence(value)))
     finally:
         setattr(watch, "observe", observe)  # noqa: B010

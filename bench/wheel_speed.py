@@ -20,6 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 
 from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 
+from tilth.schemas.diagnosis import DiagnosisState
+
 FIELDS, MINUTES = 6, 25.0
 STAND_S: Final = 1000.0
 LIMIT_NS: Final = 1_800_000_000_000
@@ -32,7 +34,7 @@ def false_events(key: str, lifts: bool, stand_s: float, seeds: int) -> int:
         row = float(np.random.default_rng(seed).uniform(100.0, 600.0))
         drive = SlippingDrive(seed, MACHINES[key], row, lifts)
         for _ in range(FIELDS):
-            count += sum(not found.back for found in drive.other_fields(1, MINUTES))
+            count += sum(found.state is DiagnosisState.ISOLATED for found in drive.other_fields(1, MINUTES))
             drive.stand(stand_s)
     return count
 

@@ -39,12 +39,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 from estimation_study import fitted_at_once
 
 from tilth.estimator import fold
-from tilth.estimator.methods.consistency import CONTRADICTION
+from tilth.estimator.diagnosis import diagnosis
+from tilth.estimator.diagnosis.consistency import CONTRADICTION
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
-from tilth.schemas.sentences import event_sentence
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
     Fieldwork,
@@ -356,7 +357,7 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
         fold.request_fits(state, frame.t_ns)
     masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
     logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
-    result = SeenFlags({}, [f.text for f in state.consistency.findings.values() if f.active], {})
+    result = SeenFlags({}, [sentence(one.reason) for one in diagnosis.contradictions(state.diagnosis)], {})
     for publication in out:
         at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
         if isinstance(value, Event) and value.kind == CONTRADICTION and not result.first:
@@ -491,9 +492,9 @@ def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dic
         began = began or frame.t_ns
         out = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
         fold.request_fits(state, frame.t_ns)
-        if state.consistency.confirmed and math.isnan(confirmed_s):
+        if state.diagnosis.consistency.confirmed and math.isnan(confirmed_s):
             confirmed_s = (frame.t_ns - began) * 1e-9
-        if not state.consistency.confirmed and math.isfinite(confirmed_s):
+        if not state.diagnosis.consistency.confirmed and math.isfinite(confirmed_s):
             withheld_s += (frame.t_ns - last_ns) * 1e-9
         last_ns = frame.t_ns
         events += [

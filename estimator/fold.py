@@ -5,35 +5,32 @@ frames in their order.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 from tilth.estimator import warm_start
-from tilth.estimator.methods import consistency
-from tilth.estimator.methods.consistency import Consistency
-from tilth.estimator.methods.estimators import FITTED, ROW, Estimator, rows_for
-from tilth.estimator.pose import aligner, lateness, log_time, receiver_checks, recognition, standing
-from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.diagnosis import diagnosis
+from tilth.estimator.diagnosis.accepted import acceptance, corrected
+from tilth.estimator.diagnosis.directive import Directive
+from tilth.estimator.diagnosis.watch import Moved
+from tilth.estimator.fits import decide as decide
+from tilth.estimator.fits import finish as finish
+from tilth.estimator.fits import pending as pending
+from tilth.estimator.fits import request_fits as request_fits
+from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
+from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
-from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.pose import poses
-from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.recognition import Recognition
-from tilth.estimator.pose.standing import StandingCheck
 from tilth.estimator.record import record_builder
-from tilth.estimator.record.record import Segment
-from tilth.estimator.record.record_builder import RecordState
-from tilth.estimator.record.windows import AWAITED, DROPPED, TAKEN
 from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
-from tilth.estimator.state_json import NOT_STORED
+from tilth.estimator.state import State as State
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch import watch, wheel_speed
-from tilth.estimator.watch.accepted import acceptance, corrected
-from tilth.estimator.watch.watch import Moved, WatchState
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
@@ -41,8 +38,6 @@ from tilth.schemas.flow import (
     Estimate,
     Event,
     EventKind,
-    FitOutcome,
-    Flag,
     FlagKind,
     Frame,
     Measurement,
@@ -54,64 +49,8 @@ from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
 from tilth.schemas.reasons import Code
-from tilth.schemas.rejections import Rejection
 
 POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
-
-
-@dataclass(slots=True)
-class State:
-    """The whole state of the fold. `step` changes it in place; nothing else does."""
-
-    machine: Machine = field(metadata=NOT_STORED)
-    decoder: Decoder = field(metadata=NOT_STORED)  # but in a form of its own
-    aligner: Aligner
-    record: RecordState
-    consistency: Consistency  # of the data with the machine file
-    estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
-    checks: ReceiverChecks = field(default_factory=ReceiverChecks)
-    watch: WatchState = field(default_factory=WatchState)  # of what may be moved while driving
-    accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
-    previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
-    """Method -> what the run before had learned, from which this run has started."""
-    previous_run_ns: int = 0  # when that run had saved them
-    frames: int = 0
-    measurements: int = 0
-    poses: int = 0
-    standing: StandingCheck = field(default_factory=StandingCheck)  # sensors that have failed
-    ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
-    clock_steps: int = 0
-    not_numbers: int = 0  # measurements refused because a value is not finite
-    time: LogTime = field(default_factory=LogTime)  # of the log
-    recognition: Recognition = field(default_factory=Recognition)  # of receivers that claim no address
-    flags: tuple[Flag, ...] = ()  # of the last pose
-    flag_times: dict[str, int] = field(default_factory=dict)  # flag -> how often it has begun, of OFTEN
-    place: tuple[float, float, float, float] | None = None
-    """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
-    disagree: bool = False  # whether the methods disagree
-    segments: list[Segment | None] = field(default_factory=list, metadata=NOT_STORED)
-    """What each pose of the last frame completed; for who analyses a drive afterwards."""
-    estimates: dict[str, Estimate] = field(default_factory=dict, metadata=NOT_STORED)
-    """Method -> latest estimate, as published."""
-
-    @property
-    def latest_ns(self) -> int:
-        """Greatest t_ns since the last step back of the log's clock."""
-        return self.time.latest_ns
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Reason -> count, of frames and measurements that were not used."""
-        counts = self.decoder.rejected | self.aligner.screens.rejected
-        if self.aligner.lateness.late:
-            counts[Rejection.LATE] = self.aligner.lateness.late
-        if self.clock_steps:
-            counts[Rejection.CLOCK_STEP] = self.clock_steps
-        if self.time.stray:
-            counts[Rejection.OTHER_TIME] = self.time.stray
-        if self.not_numbers:
-            counts[Rejection.NOT_A_NUMBER] = self.not_numbers
-        return counts
 
 
 def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
@@ -120,7 +59,7 @@ def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
     estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
     state = State(
         machine, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
-        consistency.initial(machine), estimators,
+        open_tracker.initial(machine), estimators,
     )  # fmt: skip
     state.accepted = list(accepted)
     state.estimates = estimates_now(state)
@@ -130,7 +69,7 @@ def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
 def save_learned(state: State, t_ns: int) -> dict[str, SavedPosterior]:
     """Method -> what it has learned by t_ns, for the next run; empty while the machine file is not
     confirmed."""
-    if not state.consistency.confirmed:
+    if not state.diagnosis.confirmed:
         return {}
     return warm_start.save_learned(state.machine, state.estimators, t_ns)
 
@@ -146,7 +85,7 @@ def resume(
     state.time.latest_ns = t_ns
     used = {method for method, refusal in refusals.items() if refusal is None}
     state.previous_run = {method: before for method, before in previous_run.items() if method in used}
-    state.consistency.confirmed = bool(state.previous_run)  # it was saved only because the file was confirmed
+    diagnosis.resumed(state.diagnosis, bool(state.previous_run))
     state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals
 
@@ -154,10 +93,7 @@ def resume(
 def carry(state: State, moved: Sequence[Moved]) -> None:
     """Before the first frame, after `resume`: what has been found moved before, and neither accepted nor put
     back."""
-    state.watch.moved = [watch.carried(state.machine, one) for one in moved]
-    if left_out := watch.left_out(state.watch):
-        aligner.leave_out(state.aligner, left_out)
-        state.consistency.pairs_known = state.consistency.confirmed
+    _apply(state, diagnosis.carry(state.diagnosis, state.machine, moved), state.latest_ns, [])
 
 
 def recall(state: State, known: Sequence[KnownAddress]) -> None:
@@ -165,19 +101,28 @@ def recall(state: State, known: Sequence[KnownAddress]) -> None:
     state.recognition.before = list(known)
 
 
-def _reset_estimators(state: State, t_ns: int) -> None:
-    """Put the methods back to the beginning of the run: they have learned from wrong measurements."""
-    state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
-    elapsed_s = max(0, t_ns - state.previous_run_ns) * 1e-9
-    warm_start.resume(state.machine, state.estimators, state.previous_run, elapsed_s, t_ns)
-    state.estimates = estimates_now(state)
+def _apply(state: State, directive: Directive, t_ns: int, out: list[Publication]) -> None:
+    """Do what the diagnosis says: the one place where it acts on receivers and methods."""
+    for kind, text in directive.events:
+        _publish_event(state, t_ns, kind, text, out)
+    if directive.exclude is not None:
+        aligner.leave_out(state.aligner, directive.exclude)
+    if directive.lagging is not None:
+        aligner.leave_out_turn_rates(state.aligner, directive.lagging)
+    if directive.reset_open:
+        state.open = open_tracker.initial(state.machine)
+    if directive.reset:  # to the beginning of the run
+        state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
+        elapsed_s = max(0, t_ns - state.previous_run_ns) * 1e-9
+        warm_start.resume(state.machine, state.estimators, state.previous_run, elapsed_s, t_ns)
+        state.estimates = estimates_now(state)
 
 
 def estimates_now(state: State) -> dict[str, Estimate]:
     """Method -> its estimate at this moment, and the recommended one under "recommended"."""
     now = {
-        row.method: consistency.withheld(
-            state.consistency, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
+        row.method: diagnosis.withheld(
+            state.diagnosis, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
         )
         for row in rows_for(state.machine)
     }
@@ -289,14 +234,8 @@ def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: li
 
 def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     state.poses += 1
-    late = state.aligner.lateness.doubts(pose.t_ns)
-    if not late:
-        receiver_checks.observe(state.checks, state.aligner, pose)
-    stopped = standing.observe(state.standing, state.aligner, pose)
-    found = [
-        *receiver_checks.flags(state.checks), *consistency.flags(state.consistency),
-        *standing.flags(state.standing), *state.aligner.screens.flags(),
-    ]  # fmt: skip
+    of_sensors = diagnosis.look_at_sensors(state.diagnosis, state.aligner, pose)
+    found = [*diagnosis.flags(state.diagnosis), *state.aligner.screens.flags()]
     if found:
         pose = replace(pose, flags=tuple(sorted({*pose.flags, *found})))
     out.append(Publication(t_ns, "/pose", pose))
@@ -311,16 +250,18 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         state.place = (*origin_deg, pose.tractor.x, pose.tractor.y)
     for kind, told in aligner.news(state.aligner):
         _publish_event(state, t_ns, kind, told, out)
-    _act_on_stopped(state, t_ns, stopped, out)
-    _act_on_checks(state, t_ns, out)
-    if not late:
-        _watch(state, t_ns, pose, out)
+    _apply(state, of_sensors, t_ns, out)
+    _apply(state, diagnosis.look_at_places(state.diagnosis, state.aligner, pose, t_ns), t_ns, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
     if not state.ready:
         return
-    doubtful = _check_consistency(state, t_ns, pose, segment, out)
-    if doubtful and segment is not None:
+    evidence = None
+    if diagnosis.is_judged(state.aligner, pose):
+        evidence = open_tracker.observe(state.open, state.machine, segment)
+    of_file = diagnosis.look_at_file(state.diagnosis, state.aligner, pose, evidence)
+    _apply(state, of_file, t_ns, out)
+    if of_file.withhold and segment is not None:
         segment = replace(segment, follows=False, reason=Code.CONTRADICTED)
     estimates = []
     for row in rows_for(state.machine):
@@ -333,23 +274,6 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         _publish_estimates(state, t_ns, estimates, out)
 
 
-def _check_consistency(
-    state: State, t_ns: int, pose: Pose, segment: Segment | None, out: list[Publication]
-) -> bool:
-    """Check the data against the machine file. Returns whether they contradict it, so that nothing is
-    learned."""
-    moved = watch.contradictions(state.watch)
-    events = consistency.observe(
-        state.consistency, state.machine, state.aligner, state.checks, pose, segment, moved
-    )
-    for kind, text in events:
-        _publish_event(state, t_ns, kind, _found(text), out)
-    if state.consistency.must_forget:
-        state.consistency.must_forget = False
-        _reset_estimators(state, t_ns)
-    return consistency.stops_learning(state.consistency)
-
-
 def _publish_drawing(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     """For viewers: the frames of both bodies at this pose and, at each POSES_PER_DRAWING-th, their shapes."""
     frames = body_frames(state.machine, pose)
@@ -357,42 +281,6 @@ def _publish_drawing(state: State, t_ns: int, pose: Pose, out: list[Publication]
         out.append(Publication(t_ns, "/drawing/frames", frames))
     if state.poses % POSES_PER_DRAWING == 1:
         out.append(Publication(t_ns, "/drawing/bodies", drawing(state.machine, t_ns)))
-
-
-def _act_on_checks(state: State, t_ns: int, out: list[Publication]) -> None:
-    """Report the faults found in receivers; exclude smoothed turn rates, and what was learned with them."""
-    events = receiver_checks.events(state.checks)
-    for kind, text in events:
-        _publish_event(state, t_ns, kind, _found(text), out)
-    _exclude_smoothed_turn_rates(state)
-    if any(kind == receiver_checks.SMOOTHED for kind, _ in events):
-        consistency.discard_findings(state.consistency, state.machine)
-        _reset_estimators(state, t_ns)
-
-
-def _act_on_stopped(
-    state: State, t_ns: int, events: list[tuple[str, Notice]], out: list[Publication]
-) -> None:
-    """Report sensors that stand still; without the wheel angle there are no numbers."""
-    for kind, told in events:
-        _publish_event(state, t_ns, kind, told, out)
-    screen = state.aligner.screens.by.get(aligner.WHEEL_NAME)
-    if screen is not None:
-        fault = Code.WHEEL_ANGLE_STANDS if screen.failed else None
-        consistency.sensor_failed(state.consistency, state.machine, fault, screen.stands)
-
-
-def _watch(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
-    """Report what has been moved; leave it out, and what was learned with it."""
-    for one in (found := watch.observe(state.watch, state.aligner, pose)):
-        _publish_event(state, t_ns, watch.EVENT, _found(watch.message(one, t_ns)), out)
-    if found:
-        aligner.leave_out(state.aligner, watch.left_out(state.watch))
-        consistency.left_out(state.consistency, state.machine)
-        _reset_estimators(state, t_ns)
-    tyres = wheel_speed.observe(state.watch.wheel_speed, state.aligner, pose)
-    if tyres is not None:  # no estimate uses the wheels' speed
-        _publish_event(state, t_ns, watch.EVENT, _found(wheel_speed.message(tyres)), out)
 
 
 def accept(state: State, accepted: Accepted) -> list[Publication]:
@@ -403,29 +291,18 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     soil. So the methods begin from the machine file's priors.
     """
     out, t_ns, machine = list[Publication](), accepted.t_ns, corrected(state.machine, [accepted])
-    watch.accept(state.watch, state.machine, accepted)
+    directive = diagnosis.accept(state.diagnosis, state.machine, accepted)
     state.accepted.append(accepted)
     state.machine = machine
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
     aligner.use(state.aligner, machine)
-    aligner.leave_out(state.aligner, watch.left_out(state.watch))
     record_builder.clock_stepped(state.record)  # poses and wheel angles so far have the value before
-    state.consistency = consistency.initial(state.machine)
     state.previous_run = {}
-    _reset_estimators(state, t_ns)
-    _publish_event(state, t_ns, EventKind.ACCEPTED, _found(acceptance(machine, accepted)), out)
+    _apply(state, directive, t_ns, out)
+    told = notice(NoticeCode.FOUND, text=acceptance(machine, accepted))
+    _publish_event(state, t_ns, EventKind.ACCEPTED, told, out)
     return out
-
-
-def _exclude_smoothed_turn_rates(state: State) -> None:
-    usable = receiver_checks.usable_yaw_rates(state.checks)
-    for mount, track in state.aligner.tracks.items():
-        track.smoothed = mount not in usable
-
-
-def _found(text: str) -> Notice:
-    return notice(NoticeCode.FOUND, text=text)
 
 
 def _publish_event(state: State, t_ns: int, kind: str, told: Notice, out: list[Publication]) -> None:
@@ -437,19 +314,17 @@ def _publish_event(state: State, t_ns: int, kind: str, told: Notice, out: list[P
 def _publish_events(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
     """Publish the events of a method since the last call."""
     for kind, told in take_events(state.estimators[row.method]):
-        if (
-            state.consistency.confirmed or kind != EventKind.SOIL_CHANGE
-        ):  # before that, the file may be the cause
+        if kind != EventKind.SOIL_CHANGE:
             _publish_event(state, t_ns, kind, told, out)
-            if kind == EventKind.SOIL_CHANGE:
-                consistency.soil_changed(state.consistency, state.machine)
+        elif state.diagnosis.confirmed:  # before that, the file may be the cause
+            _publish_event(state, t_ns, kind, told, out)
+            _apply(state, diagnosis.soil_changed(state.diagnosis), t_ns, out)
 
 
 def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: list[Publication]) -> None:
     """Publish the estimates that are due at an instant, and then, once, the recommended one."""
     for estimate in estimates:
-        consistency.check_estimate(state.consistency, state.machine, estimate)
-        estimate = consistency.withheld(state.consistency, estimate)
+        estimate = diagnosis.checked(state.diagnosis, state.machine, estimate)
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
     if not any(estimate.method in PREFERRED for estimate in estimates):
@@ -460,42 +335,6 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     state.disagree = bool(found)
     best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
     out.append(Publication(t_ns, "/soil_tire", best))
-
-
-def finish(state: State) -> None:
-    """No frame follows: the windows of driving that are open now are complete, and fits may be requested."""
-    for method, fitting in FITTED:
-        if method in state.estimators:
-            fitting.finish(state.estimators[method])
-
-
-def request_fits(state: State, t_ns: int) -> list[tuple[str, Any]]:
-    """(method, job) of the fits that are requested after the frame of t_ns; `ROW[method].fitting` makes
-    them."""
-    jobs = []
-    for method, fitting in FITTED:  # at every frame: those that are not enabled have no state
-        method_state = state.estimators.get(method)
-        job = fitting.request_fit(method_state, t_ns) if method_state is not None else None
-        if job is not None:
-            jobs.append((method, job))
-    return jobs
-
-
-def pending(state: State) -> list[tuple[str, Any, int]]:
-    """(method, job, t_ns at which its result is due) of the fits that were requested and not adopted yet."""
-    return [
-        (method, method_state.job, method_state.job.asked_ns + fitting.latency_ns)
-        for method, fitting in FITTED
-        if (method_state := state.estimators.get(method)) is not None and method_state.job is not None
-    ]
-
-
-def decide(state: State, outcome: FitOutcome) -> None:
-    """Store the outcome of a method's pending fit, for a program that restores the state before the fit is
-    used."""
-    method_state = state.estimators[outcome.method]
-    method_state.decided = TAKEN if outcome.adopted else AWAITED if outcome.awaited else DROPPED
-    method_state.late_ns = outcome.late_ns
 
 
 def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
@@ -518,12 +357,10 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     state.aligner.screens, state.aligner.lateness = screens, late
     screens.clock_stepped()
     late.clock_stepped()
-    aligner.leave_out(state.aligner, watch.left_out(state.watch))
-    _exclude_smoothed_turn_rates(state)
+    _apply(state, diagnosis.clock_stepped(state.diagnosis), t_ns, out)
     state.recognition = recognition.restart(state.recognition)
-    receiver_checks.clock_stepped(state.checks)
     record_builder.clock_stepped(state.record)
-    consistency.clock_stepped(state.consistency)
+    open_tracker.clock_stepped(state.open)
     state.place = None
     state.previous_run_ns += by_ns
     for row in rows_for(state.machine):

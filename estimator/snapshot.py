@@ -7,15 +7,15 @@ then continue without it. The machine file is not part of the text: the log hold
 import json
 from typing import Any, Final
 
+from tilth.estimator.diagnosis.accepted import corrected
 from tilth.estimator.fold import State, estimates_now
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.state_json import from_json_data, to_json_data
-from tilth.estimator.watch.accepted import corrected
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 23
+VERSION: Final = 24
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 

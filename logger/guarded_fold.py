@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from tilth.estimator.diagnosis import diagnosis, watch
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import (
     RECOMMENDED,
     State,
@@ -23,14 +25,11 @@ from tilth.estimator.fold import (
     save_learned,
     step,
 )
-from tilth.estimator.methods import consistency
 from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch import watch
-from tilth.estimator.watch.watch import Moved
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
@@ -50,6 +49,7 @@ from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import reasoned
 from tilth.schemas.reasons import Code, Reason, text_reason
+from tilth.schemas.sentences import sentence
 
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
@@ -112,11 +112,11 @@ class GuardedFold:
     @property
     def moved(self) -> list[tuple[list[str], str]]:
         """(names by which it may be accepted, what and by how much) of what has been found moved."""
-        return watch.found_now(self.state.watch)
+        return [(list(one.of), sentence(one.reason)) for one in watch.found_now(self.state.diagnosis.watch)]
 
     def proposal(self, what: str, t_ns: int) -> Accepted | None:
         """The value that may be accepted by that name now; None if there is none."""
-        return watch.proposal(self.state.watch, self.state.machine, what, t_ns)
+        return watch.proposal(self.state.diagnosis.watch, self.state.machine, what, t_ns)
 
     def accept(self, accepted: Accepted) -> list[tuple[Publication, bytes]]:
         """Use a value that the operator has accepted, which the caller has logged."""
@@ -264,12 +264,12 @@ class GuardedFold:
     @property
     def unsettled(self) -> list[Moved]:
         """What has been found moved and neither accepted nor put back, for the next run."""
-        return list(self.state.watch.moved)
+        return list(self.state.diagnosis.watch.moved)
 
     @property
     def contradicted(self) -> bool:
         """Whether the data contradict the machine file now."""
-        return bool(consistency.contradicted(self.state.consistency))
+        return bool(diagnosis.contradictions(self.state.diagnosis))
 
     def warm(
         self,
@@ -318,7 +318,7 @@ class GuardedFold:
     def _initial(self) -> State:
         state = initial(self._machine, self.state.accepted)
         state.ready = self.state.ready
-        carry(state, self.state.watch.moved)
+        carry(state, self.state.diagnosis.watch.moved)
         recall(state, self.known_addresses)  # nobody claims anew because of a fault here
         return state
 

@@ -11,17 +11,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from tilth.estimator.diagnosis import watch
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch import watch
-from tilth.estimator.watch.watch import Moved
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
 from tilth.schemas.reasons import Reason
+from tilth.schemas.sentences import accept_or_put_back, sentence
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
@@ -86,7 +87,10 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
         moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
-        told = [f"an earlier run found: {watch.describe(one)}. {watch.wanted(one)}" for one in moved]
+        told = [
+            f"an earlier run found: {sentence(one.reason)}. {accept_or_put_back(one)}"
+            for one in (carried.diagnosis for carried in moved)
+        ]
     except NotUsable:
         raise
     except Exception as error:  # anything may stand there, and a run begins whatever it is
@@ -136,5 +140,5 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     for one in found.accepted:
         report(EventKind.ACCEPTED, notice(NoticeCode.ACCEPTED_EARLIER, what=one.what))
     for text in found.told:
-        report(watch.EVENT, notice(NoticeCode.FOUND, text=text))
+        report(EventKind.MOVED, notice(NoticeCode.FOUND, text=text))
     return bool(used or found.accepted or found.moved)

@@ -436,7 +436,7 @@ class Accepted:
     """A value that the watch has found and the operator accepted; used from the next frame on."""
 
     t_ns: int
-    what: str  # estimator/watch/accepted.py: KNOWN
+    what: str  # estimator/diagnosis/accepted.py: KNOWN
     amounts: tuple[float, ...]
     """By which it has been moved: forward and right, m; or one angle, rad; or m. Of wheel_speed the factor of
     the wheel-based speed as it is now, and as it was."""

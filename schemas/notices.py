@@ -150,6 +150,11 @@ def reasoned(reason: Reason) -> Notice:
     return Notice(NoticeCode.REASON, reason=reason)
 
 
+def found(text: str, reason: Reason) -> Notice:
+    """Of a diagnosis: its words, and the reason in them."""
+    return Notice(NoticeCode.FOUND, {"text": readable(text)}, reason=reason)
+
+
 def in_words(text: str) -> Notice:
     """Of words alone, as old logs have them."""
     return notice(NoticeCode.TEXT, text=text)

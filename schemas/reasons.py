@@ -107,6 +107,48 @@ class Code(StrEnum):
 
     ESTIMATORS_FAILED = "estimators_failed"
     """A fault of the program. of: the exception's kind and words."""
+    # What is wrong with the machine file, or has been moved: of a Diagnosis. of: the key of the machine file,
+    # then what stands beside the code. numbers: SI; where they have sds, all values first, then all sds.
+    RECEIVER_NOT_THERE = "receiver_not_there"
+    RECEIVER_EXCHANGED = "receiver_exchanged"
+    RECEIVER_AT_ANOTHER_TIME = "receiver_at_another_time"
+    """These three of: a mount."""
+    OFF_WHERE_PARKED = "off_where_parked"
+    """of: a number of the rig."""
+    NO_LIKELY_LATENCY = "no_likely_latency"
+    WHEEL_MOVES_ALONE = "wheel_moves_alone"
+    WHEEL_OPPOSITE = "wheel_opposite"
+    WHEEL_SCALE = "wheel_scale"
+    """numbers: reading over what the path asks for."""
+    WHEEL_UNRELATED = "wheel_unrelated"
+    FARTHER_THAN_SPEED = "farther_than_speed"
+    """of: a body. numbers: displacement over the integral of the speed."""
+    ROLL_FOLLOWS_TURNS = "roll_follows_turns"
+    """of: a body. numbers: rad per m/s^2."""
+    LEAN_APART = "lean_apart"
+    CORRECTED_TWICE = "corrected_twice"
+    NOT_CORRECTED = "not_corrected"
+    """These two of: a mount. numbers: response to roll over the height, sd."""
+    ROLL_CORRECTION_UNCLEAR = "roll_correction_unclear"
+    YAW_RATE_SMOOTHED = "yaw_rate_smoothed"
+    """of: a mount. numbers: s, sd."""
+    DRIVING_FINDS = "driving_finds"
+    METHOD_FINDS = "method_finds"
+    """These two of: a number of the rig, and then other keys that may be it, or the method. numbers: how far
+    it is from the file, sd."""
+    MOST_REJECTED = "most_rejected"
+    """numbers: share of what the receivers say."""
+    NO_TYRE = "no_tyre"
+    """of: an axle. numbers: stiffness over load, 1/rad."""
+    RECEIVER_MOVED = "receiver_moved"
+    """numbers: forward and right."""
+    PAIR_TURNED = "pair_turned"
+    WHEEL_SLIPPED = "wheel_slipped"
+    DRAWBAR_CHANGED = "drawbar_changed"
+    """numbers: by how much it is shorter."""
+    TYRES_CHANGED = "tyres_changed"
+    """numbers: the factor of the wheel-based speed now and before. These five of: by which name it is
+    accepted, and what else it may be."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from tilth.estimator.calibration.priors import NUMBER, Sought
 from tilth.estimator.calibration.receivers import rows
 from tilth.estimator.calibration.stage_words import PARK_S, StageProgress, happening, next_step, progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.estimator.calibration.verdict import IDENTIFIED, NOT_IDENTIFIABLE
+from tilth.estimator.rig.numbers import NUMBER, RigNumber
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import half_alone, plus_minus
@@ -122,5 +122,5 @@ def _number(row: Mapping[str, Any]) -> pb.CalibrationNumber:
     )  # fmt: skip
 
 
-def _half_width(number: Sought, sd: float) -> str:
+def _half_width(number: RigNumber, sd: float) -> str:
     return half_alone(sd / number.per_unit, number.unit)

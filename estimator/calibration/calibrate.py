@@ -20,6 +20,7 @@ from tilth.estimator.calibration.changes import (
     applied,
     further_wheel,
     linkage_of,
+    named,
     not_early,
     wheel_after,
 )
@@ -40,6 +41,7 @@ from tilth.estimator.calibration.refusals import (
 from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
+from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.flow import Measurement
 from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Machine
@@ -342,14 +344,10 @@ def _centred(now: Machine, mean: Array, sd: Array, moved: dict[str, float]) -> t
     sd[list(MASSES)] = 0.0
     for name in priors.BY_LIKELIHOOD:
         by = moved[name]
-        if abs(by) > 3.0 * priors.NUMBER[name].prior_sd:
+        if abs(by) > 3.0 * NUMBER[name].prior_sd:
             continue
-        if name == "c":
-            mean[AT["c"]] = math.log1p(-by / now.tractor.c.value)
-        elif name == "d":
-            mean[AT["d"]] = math.log1p(-by / now.implement.d.value)
-        else:
-            mean[AT[name]] = -by
+        value = NUMBER[name].value
+        mean[AT[name]] = -by if value is None else math.log1p(-by / value(now))
     return mean, sd
 
 
@@ -380,18 +378,12 @@ def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
 
 def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
     """Name of a number -> by how much the changes move the file, SI."""
-    gain = changes.wheel_gain
-    found = {
-        "pair_t": changes.pair[0], "pair_i": changes.pair[1], "aside_t": changes.lateral_offset[0],
-        "aside_i": changes.lateral_offset[1] - changes.lateral_offset[0], "lever_t": changes.forward[0],
-        "lever_i": changes.forward[1], "c": changes.hitch[0], "d": changes.hitch[1],
-        "wheel_zero": changes.wheel_sign * changes.wheel_zero / gain, "wheel_gain": math.log(gain),
-        "ackermann": changes.ackermann,
-        "wheel_curve": changes.linkage.curve - changes.linkage_before.curve,
-        "latency": float(np.mean(changes.delay)),
-    }  # fmt: skip
-    found |= {f"roll_zero_{mount.value}": changes.roll_zero[k] for k, mount in enumerate(MOUNTS)}
-    return {name: float(value) for name, value in found.items()}
+    found = named(changes)
+    found["aside_i"] -= found["aside_t"]
+    found["wheel_zero"] = changes.wheel_sign * changes.wheel_zero / changes.wheel_gain
+    found["wheel_curve"] = changes.linkage.curve - changes.linkage_before.curve
+    found["latency"] = float(np.mean(changes.delay))
+    return found
 
 
 def _largest(fit: JointFit) -> float:

@@ -1,6 +1,7 @@
 """What calibration changes of a machine file, and how measurements made by the file read after it."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
@@ -8,16 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration.drive import MOUNTS
+from tilth.estimator.rig.adjustments import SHORTEST_LATENCY_S, Amount, updated
+from tilth.estimator.rig.numbers import BODIES as BODIES
+from tilth.estimator.rig.numbers import changed
 from tilth.schemas.flow import Measurement, WheelAngle
-from tilth.schemas.machine import Machine, Quantity, Receiver
-from tilth.schemas.machine import WheelAngle as WheelFile
+from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.wheel_angle import ackermann_of, linkage_angle, linkage_reading
 
 Array = NDArray[np.float64]
 
-BODIES: Final = ("tractor", "implement")
 BODY: Final = (0, 0, 1, 1)  # of each mount
-SHORTEST_LATENCY_S: Final = 0.0
+LATENCIES: Final = tuple(f"latency_{mount.value}" for mount in MOUNTS)
+ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in MOUNTS)
 KINGPIN_DISTANCE_M: Final = 1.7  # where the file has none; a kingpin needs it
 
 
@@ -102,33 +105,27 @@ def further_wheel(changes: Changes, zero: float, log_gain: float) -> Changes:
     return replace(changes, wheel_zero=at_zero, wheel_gain=gain)
 
 
-def applied(machine: Machine, changes: Changes) -> Machine:
-    """The machine file after the changes, sds as they were. It is not checked for what cannot be."""
-    by_mount = {r.mount: r for r in machine.receiver}
-    receivers = []
-    for k, mount in enumerate(MOUNTS):
-        there, device = by_mount.get(mount), by_mount.get(MOUNTS[changes.assignment[k]])
-        if there is not None and device is not None:
-            receivers.append(_receiver(machine, changes, k, there, device))
-    tractor, implement = machine.tractor, machine.implement
-    c, d = tractor.c, implement.d
-    return machine.model_copy(
-        update={
-            "tractor": tractor.model_copy(
-                update={
-                    "c": _moved(c, changes.hitch[0]),
-                    "ackermann": _moved(tractor.ackermann, changes.ackermann),
-                    **_kingpin_keys(
-                        machine,
-                        "mean" if changes.linkage == changes.linkage_before else changes.linkage.kingpin,
-                    ),
-                }
-            ),
-            "implement": implement.model_copy(update={"d": _moved(d, changes.hitch[1])}),
-            "receiver": receivers,
-            "wheel_angle": machine.wheel_angle.model_copy(update=wheel_keys(machine.wheel_angle, changes)),
-        }
-    )
+def named(changes: Changes) -> dict[str, float]:
+    """Name of a number of the rig -> by how much it changes, SI."""
+    found = {"wheel_zero": changes.wheel_zero, "wheel_gain": math.log(changes.wheel_gain)}
+    found["ackermann"] = changes.ackermann
+    for names, values in (
+        (("longer_t", "longer_i"), changes.longer), (("pair_t", "pair_i"), changes.pair),
+        (("lever_t", "lever_i"), changes.forward), (("aside_t", "aside_i"), changes.lateral_offset),
+        (("c", "d"), changes.hitch), (LATENCIES, changes.delay), (ROLL_ZEROS, changes.roll_zero),
+    ):  # fmt: skip
+        found |= dict(zip(names, values.tolist(), strict=True))
+    return found
+
+
+def applied(machine: Machine, changes: Changes, sds: Mapping[str, float] | None = None) -> Machine:
+    """The machine file after the changes, not checked for what cannot be. sds: of numbers of the rig by name,
+    SI; of the others they are as they were."""
+    known = sds or {}
+    amounts = {name: Amount(by, known.get(name)) for name, by in named(changes).items()}
+    if "wheel_curve" in known:
+        amounts["wheel_curve"] = Amount(0.0, known["wheel_curve"])
+    return _wheel_set(changed(_placed(machine, changes), amounts), changes)
 
 
 def not_early(machine: Machine, assignment: tuple[int, ...], delay: Array) -> Array:
@@ -141,52 +138,34 @@ def not_early(machine: Machine, assignment: tuple[int, ...], delay: Array) -> Ar
     return np.asarray(delay + max(SHORTEST_LATENCY_S - least, 0.0))
 
 
-def _moved(quantity: Quantity, by: float) -> Quantity:
-    return Quantity(value=quantity.value + float(by), sd=quantity.sd)
+def _placed(machine: Machine, changes: Changes) -> Machine:
+    """With the receivers in each other's places, and the signs of what they send."""
+    by_mount = {r.mount: r for r in machine.receiver}
+    receivers = []
+    for k, mount in enumerate(MOUNTS):
+        there, device = by_mount.get(mount), by_mount.get(MOUNTS[changes.assignment[k]])
+        if there is None or device is None:
+            continue
+        sign, zero, corrected = changes.roll_sign[k], device.roll_zero, changes.roll_corrected[k]
+        update: dict[str, Any] = {
+            "mount": mount, "position": there.position, "roll_sign": sign * device.roll_sign,
+            "yaw_rate_sign": changes.yaw_rate_sign[k] * device.yaw_rate_sign,
+        }  # fmt: skip
+        if zero is not None:
+            update["roll_zero"] = Quantity(value=sign * zero.value, sd=zero.sd)
+        if corrected is not None:
+            update["roll_corrected"] = corrected
+        receivers.append(device.model_copy(update=update))
+    return machine.model_copy(update={"receiver": receivers})
 
 
-def _receiver(machine: Machine, changes: Changes, k: int, there: Receiver, device: Receiver) -> Receiver:
-    """The receiver that stands at place k."""
-    body = BODY[k]
-    pair = [r.position for r in machine.receiver if r.mount.body == there.mount.body]
-    middle = np.mean([position[:2] for position in pair], axis=0)
-    arm = np.array(there.position[:2]) - middle
-    length = float(np.hypot(*arm))
-    stretched = arm * (1.0 + changes.longer[body] / (2.0 * length)) if length > 0.0 else arm
-    cosine, sine = math.cos(changes.pair[body]), math.sin(changes.pair[body])
-    turned = np.array([[cosine, -sine], [sine, cosine]]) @ stretched
-    forward, right = middle + turned + [changes.forward[body], changes.lateral_offset[body]]
-    delay = max(device.latency.value + float(changes.delay[k]), SHORTEST_LATENCY_S)
-    zero = device.roll_zero or Quantity(value=0.0, sd=math.degrees(0.01))
-    sign = changes.roll_sign[k]
-    at_level = sign * zero.value + math.degrees(changes.roll_zero[k])
-    update: dict[str, Any] = {
-        "mount": there.mount,
-        "position": (float(forward), float(right), there.position[2]),
-        "latency": Quantity(value=delay, sd=device.latency.sd),
-        "roll_sign": sign * device.roll_sign,
-        "yaw_rate_sign": changes.yaw_rate_sign[k] * device.yaw_rate_sign,
-    }
-    if device.roll_zero is not None or changes.roll_zero[k] != 0.0:
-        update["roll_zero"] = Quantity(value=at_level, sd=zero.sd)
-    corrected = changes.roll_corrected[k]
-    if corrected is not None:
-        update["roll_corrected"] = corrected
-    return device.model_copy(update=update)
-
-
-def wheel_keys(wheel: WheelFile, changes: Changes) -> dict[str, Any]:
-    """Keys of [wheel_angle] that change: x = sign (raw scale + offset) - zero, degrees."""
-    gain, sign = changes.wheel_gain, changes.wheel_sign
-    zero = sign * (wheel.zero.value + math.degrees(changes.wheel_zero)) / gain
-    keys: dict[str, Any] = {"sign": sign * wheel.sign, "zero": Quantity(value=zero, sd=wheel.zero.sd)}
+def _wheel_set(machine: Machine, changes: Changes) -> Machine:
+    """With the sign of the wheel angle, and which wheel carries the sensor."""
+    wheel = machine.wheel_angle
+    zero = Quantity(value=changes.wheel_sign * wheel.zero.value, sd=wheel.zero.sd)
+    keys: dict[str, Any] = {"sign": changes.wheel_sign * wheel.sign, "zero": zero}
     if changes.linkage != changes.linkage_before:
-        keys["kingpin"] = changes.linkage.kingpin
-        keys["curve"] = Quantity(value=changes.linkage.curve, sd=wheel.curve.sd)
-    if gain == 1.0:
-        return keys
-    if wheel.lookup is not None:
-        return {**keys, "lookup": [(reading, angle / gain) for reading, angle in wheel.lookup]}
-    if wheel.pgn is not None:
-        return {**keys, "lookup": [(-90.0, -90.0 / gain), (90.0, 90.0 / gain)]}
-    return {**keys, "scale": wheel.scale / gain, "offset": wheel.offset / gain}
+        curve = Quantity(value=changes.linkage.curve, sd=wheel.curve.sd)
+        keys |= {"kingpin": changes.linkage.kingpin, "curve": curve}
+        machine = updated(machine, "tractor", **_kingpin_keys(machine, changes.linkage.kingpin))
+    return updated(machine, "wheel_angle", **keys)

@@ -16,6 +16,7 @@ from tilth.estimator.calibration.drive import STEP_S
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.initial_guess import MOVING, SLOW, Pairs
 from tilth.estimator.calibration.least_squares import solve
+from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.rig.residuals import path_angle, wheel_slopes
 from tilth.schemas.machine import Machine
 from tilth.schemas.wheel_angle import linkage_reading
@@ -23,7 +24,7 @@ from tilth.schemas.wheel_angle import linkage_reading
 Array = NDArray[np.float64]
 
 KINGPIN: Final = "wheel_kingpin"  # kind of the fault
-CURVE_SD: Final = 0.08  # 1/rad, the prior: 1.3 degrees at 30 degrees
+CURVE_SD: Final = NUMBER["wheel_curve"].prior_sd  # 1.3 degrees at 30 degrees
 FLOOR: Final = 0.006  # 1/rad: of what the model leaves out, 0.1 degrees at 30 degrees
 LOOSE: Final = 5.0  # 1/rad: a prior that says nothing
 STEADY: Final = 0.03  # rad/s, by which the turn rate changes within a second: tyres lag little

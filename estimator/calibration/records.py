@@ -62,9 +62,7 @@ def follow(machine: Machine, measurements: Iterable[Measurement], changes: Chang
             continue
         for pose in poses(state, measurement.rx_ns):
             receiver_checks.observe(checks, state, pose)
-            usable = receiver_checks.usable_yaw_rates(checks)
-            for mount, track in state.tracks.items():
-                track.smoothed = mount not in usable
+            aligner.leave_out_turn_rates(state, receiver_checks.lagging(checks))
             flags.update((*pose.flags, *receiver_checks.flags(checks)))
             segments.append(record_builder.observe(record, state, pose))
     return FollowedRecords(tuple(_records(segments)), dict(record.refused), flags, len(segments))

@@ -15,26 +15,15 @@ from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.initial_guess import DELAY_SD, DrivingCoverage
 from tilth.estimator.calibration.joint import Half
-from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Sought
+from tilth.estimator.calibration.priors import BY_LIKELIHOOD, SOUGHT
 from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.rig.numbers import CIRCLE, FOLD, ROW, WEAVE, RigNumber
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
 IDENTIFIED, WEAKLY_IDENTIFIED, NOT_IDENTIFIABLE = "told", "rough", "not told"
-FLOOR: Final = {
-    "pair_t": math.radians(0.05), "pair_i": math.radians(0.05), "lever_t": 0.014, "lever_i": 0.010,
-    "aside_i": 0.004, "aside_t": 0.004, "c": 0.008, "d": 0.008, "wheel_zero": math.radians(0.015),
-    "wheel_gain": 0.008, "latency": 0.006, "ackermann": 0.1,
-}  # fmt: skip
-"""Sds of what the model leaves out, which a longer drive does not reduce: by bench/calibration.py."""
-NOT_WEAVED_SD: Final = {
-    "latency": 0.04, "lever_t": 0.06, "lever_i": 0.03, "c": 0.055, "d": 0.025, "wheel_gain": 0.01,
-}  # fmt: skip
-"""The same where the wheels were turned in slow sharp turns only, as in fields: what the model leaves out of
-the slip there is taken for what is late and for places along the body. Root mean square errors after four
-fields of the planar virtual tractor; in space they are a third of it."""
 ENOUGH_S: Final = 15.0  # of a way of driving
 ONE_WAY_SD: Final = math.radians(0.2)  # of the yaw of pairs by a slope of 2 degrees that is met one way only
 DISAGREE: Final = 0.01  # p of the halves' difference, of one number
@@ -44,7 +33,7 @@ DISAGREE: Final = 0.01  # p of the halves' difference, of one number
 class NumberVerdict:
     """One number. SI; `moved` is on top of what the file said."""
 
-    number: Sought
+    number: RigNumber
     moved: float
     sd: float
     halves: tuple[float, float] | None  # moved by each half of the drive
@@ -82,7 +71,7 @@ class RigVerdict:
 def verdict(machine: Machine, found: Calibration) -> RigVerdict:
     """machine: as it was read."""
     further = _not_in_the_fit(found)
-    numbers = tuple(_number_verdict(found, number, further) for number in NUMBERS if _heard(found, number))
+    numbers = tuple(_number_verdict(found, number, further) for number in SOUGHT if _heard(found, number))
     zs = [_z(one, found) for one in numbers if one.halves is not None]
     chi2, dof = float(sum(z * z for z in zs)), len(zs)
     p = float(chdtrc(dof, chi2)) if dof else 1.0
@@ -90,31 +79,31 @@ def verdict(machine: Machine, found: Calibration) -> RigVerdict:
     return RigVerdict(numbers, chi2, dof, p, soil, tuple(_sentences(numbers, p, found)))
 
 
-def _heard(found: Calibration, number: Sought) -> bool:
+def _heard(found: Calibration, number: RigNumber) -> bool:
     place = number.name.removeprefix("roll_zero_")
     names = [mount.value for mount in MOUNTS]
     return place not in names or found.rolls.heard[names.index(place)]
 
 
-def _number_verdict(found: Calibration, number: Sought, further: Mapping[str, float]) -> NumberVerdict:
+def _number_verdict(found: Calibration, number: RigNumber, further: Mapping[str, float]) -> NumberVerdict:
     """further: as _not_in_the_fit gives it."""
     name, fit = number.name, found.fit
     moved, halves, p = found.moved[name], None, None
     if name in BY_LIKELIHOOD:
         k = AT[name]
         scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
-        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), FLOOR[name], further[name])
+        sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), number.floor_sd, further[name])
         if fit.halves is not None:
             one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
             halves = (float(one), float(other))
             p = math.erfc(abs(_difference(fit.halves, k)) / math.sqrt(2.0))
     elif name == "aside_t":
-        sd = math.hypot(found.lateral_offset_sd, FLOOR[name])
+        sd = math.hypot(found.lateral_offset_sd, number.floor_sd)
     elif name == "wheel_curve":
         sd = found.curve_sd
     elif name == "ackermann":
         k = AT["parallel"]
-        sd = math.hypot(math.sqrt(fit.covariance[k, k]), FLOOR[name])
+        sd = math.hypot(math.sqrt(fit.covariance[k, k]), number.floor_sd)
     else:
         sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
     status = (
@@ -146,7 +135,11 @@ def _not_in_the_fit(found: Calibration) -> dict[str, float]:
         "aside_i": 0.5 * found.lateral_offset_sd,  # folded, one body's looks like the other's
     }  # fmt: skip
     if found.coverage.weaved < ENOUGH_S:
-        others |= {name: math.hypot(others.get(name, 0.0), sd) for name, sd in NOT_WEAVED_SD.items()}
+        others |= {
+            number.name: math.hypot(others.get(number.name, 0.0), number.not_weaved_sd)
+            for number in SOUGHT
+            if number.not_weaved_sd
+        }
     if _one_way(found.coverage):
         others |= {"pair_t": ONE_WAY_SD, "pair_i": ONE_WAY_SD}
     return further | {name: math.hypot(further[name], sd) for name, sd in others.items()}
@@ -195,15 +188,15 @@ def _not_covered(coverage: DrivingCoverage, delay_sd: Array) -> Iterator[str]:
     """What would have told more, by the ways of driving that are missing."""
     if min(coverage.left, coverage.right) < ENOUGH_S:
         side = "left" if coverage.left < coverage.right else "right"
-        yield f"Hardly a turn to the {side}: zero and scale of the wheel are told less well; {priors.CIRCLE}."
+        yield f"Hardly a turn to the {side}: zero and scale of the wheel are told less well; {CIRCLE}."
     if _one_way(coverage):
-        yield f"Straight driving in one direction only: a slope is taken for yaw of the pairs; {priors.ROW}."
+        yield f"Straight driving in one direction only: a slope is taken for yaw of the pairs; {ROW}."
     if float(delay_sd.max()) >= DELAY_SD:
-        yield f"Nearly one speed all the way: a late receiver looks like one further back; {priors.WEAVE}."
+        yield f"Nearly one speed all the way: a late receiver looks like one further back; {WEAVE}."
     if coverage.weaved < ENOUGH_S:
-        yield f"Turns were sharp and slow: latencies, levers and hitch are told less well; {priors.WEAVE}."
+        yield f"Turns were sharp and slow: latencies, levers and hitch are told less well; {WEAVE}."
     if coverage.folded < ENOUGH_S:
-        yield f"The implement hardly folded: hitch and drawbar are not told apart; {priors.FOLD}."
+        yield f"The implement hardly folded: hitch and drawbar are not told apart; {FOLD}."
 
 
 def _sentences(numbers: tuple[NumberVerdict, ...], p: float, found: Calibration) -> list[str]:

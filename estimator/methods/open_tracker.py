@@ -7,12 +7,13 @@ changes no measurement, so the lengths a to e stand for them.
 """
 
 import math
-from typing import Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
+from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, Misfit, OpenEvidence, misfit_of
 from tilth.estimator.filters.drift import drift
 from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NEED_STEERING, NOISE, SIX
@@ -21,37 +22,10 @@ from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
-OPEN_SD: Final = {
-    "wheel_zero": math.radians(5.0), "wheel_gain": 0.4, "latency": 0.1, "pair_t": math.radians(5.0),
-    "pair_i": math.radians(5.0), "aside_i": 0.5, "a": 0.4, "b": 0.4, "c": 0.4, "d": 0.4, "e": 0.5,
-    "m_i": 0.4, "I_t": 0.4, "I_i": 0.4,
-}  # fmt: skip
-"""Prior sd of each unknown that is left open, in its own unit (unknowns.NAMES)."""
-ALLOWED_SD: Final = {
-    "wheel_zero": math.radians(0.3), "wheel_gain": 0.05, "latency": 0.02, "pair_t": math.radians(0.1),
-    "pair_i": math.radians(0.1), "aside_i": 0.03, "a": 0.03, "b": 0.03, "c": 0.03, "d": 0.02, "e": 0.03,
-    "m_i": 0.35, "I_t": 0.08, "I_i": 0.1,
-}  # fmt: skip
-"""Sd by which a right file may differ from the result, besides the file's sds: error of the model. From
-drives with right files. What tells of the implement's mass itself are small forces between the bodies: in
-fields with headland turns it came out at half and less, in 4 of 10 on the planar plant and 1 of 4 in space,
-and the right file was doubted to the end. Not to learn masses in sharp turns at all ends more such doubts:
-two of sixteen on a stranger's fields, where numbers of the tracker then were 3 and 4 sds off. There the doubt
-was right."""
-CONFIRMING_SD: Final = {
-    "wheel_zero": math.radians(0.6), "wheel_gain": 0.16, "latency": 0.06, "pair_t": math.radians(0.6),
-    "pair_i": math.radians(0.6), "aside_i": 0.1, "a": 0.28, "b": 0.15, "c": 0.08, "d": 0.08, "e": 0.2,
-    "I_t": 0.25,
-}  # fmt: skip
-"""Largest sds with which a gross error would show; only then can the file be confirmed."""
-GROSS: Final = {"a": 1.0, "I_t": math.log(2.0)}
-"""Gross errors, m and a logarithm, that are told apart if all other numbers are right: a metre on the
-wheelbase and twice the inertia have the same effect, and either changes the stiffnesses in proportion."""
-CERTAIN: Final = 2.33  # sds by which the data must be off each of these: one gross error in a hundred passes
-NAMES: Final = tuple(OPEN_SD)
 PLACES: Final = [AT[name] for name in NAMES]
 TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
 MEMORY: Final = 2400.0  # segments that were learned from (8 min) over which the result is forgotten
@@ -67,27 +41,25 @@ ROUGH: Final = 0.007  # rad
 """Unevenness above which what is found may be a divergence: on ground of 3 cm rms it found inertias twice as
 large, or the front axle at the CG, in 4 of 40 drives with right files, at 0.008 to 0.016. On 1 cm it is at
 most 0.006, with wrong files too."""
-STRAIGHT: Final = ("wheel_zero", "pair_t", "pair_i", "aside_i")  # observable in straight driving too
-OF_PAIRS: Final = STRAIGHT[1:]
-_STEERED: Final = [*NEED_STEERING, *(AT[name] for name in NAMES if name not in STRAIGHT)]
+OUTLIER_SEGMENTS: Final = 100  # the last ones, among whose rows outliers are counted
+_STEERED: Final = [*NEED_STEERING, *(AT[row.name] for row in OPEN if not row.in_rows)]
 
 
-class Misfit(NamedTuple):
-    """Difference between the open tracker's result and the file."""
+@dataclass(slots=True)
+class OpenTracker:
+    """Plain data."""
 
-    total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
-    by_name: Array  # [n]; decrease of `total` if this number alone is freed
-    off: Array  # [n]; result minus the file's value, in the unit of each
-    sd: Array  # [n]; of the result
-    alone: Array  # [n]; sd of the difference if all other numbers are right, with the error that is allowed
+    tracker: TrackerState
+    learned: int = 0  # segments from which it has learned
+    rows: list[tuple[float, float]] = field(default_factory=list)  # (outliers, all) after the last segments
 
 
-def initial(machine: Machine) -> TrackerState:
-    """The state before any data, at the values of the machine file, with the prior sds of OPEN_SD."""
+def initial(machine: Machine) -> OpenTracker:
+    """The state before any data, at the values of the machine file, as wide as people are wrong."""
     state = tracker.initial(machine)
     sd = state.prior_sd
-    for name, ratio in OPEN_SD.items():
-        sd[AT[name]] = max(sd[AT[name]], ratio)
+    for row in OPEN:
+        sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
     sd[SIX] = np.maximum(sd[SIX], TYRE_LOG_SD)
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
@@ -98,11 +70,35 @@ def initial(machine: Machine) -> TrackerState:
     # drives of three long steps on the planar plant (implement.e off by 0.6 m). So where its slopes are not
     # by steering, a tracker stops while the wheels are held.
     state.by_steering = False
-    return state
+    return OpenTracker(state)
 
 
-def take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
-    """Take one segment. Returns whether all open numbers were learned from it."""
+def observe(state: OpenTracker, machine: Machine, segment: Segment | None) -> OpenEvidence:
+    """Take the segment that is complete with a pose. What it finds now."""
+    if segment is not None:
+        learned = _take(state.tracker, machine, segment)
+        state.learned += learned
+        if learned or state.tracker.reason is Code.HELD:
+            state.rows = [*state.rows, _rejected_rows(state.tracker)][-OUTLIER_SEGMENTS:]
+    return OpenEvidence(
+        misfit(state.tracker, machine), _at_first(machine), state.learned, _rejected(state.rows),
+        is_rough(state.tracker),
+    )  # fmt: skip
+
+
+def clock_stepped(state: OpenTracker) -> None:
+    """The log's clock stepped back: the motion state is discarded; what was learned stays."""
+    state.tracker.pending, state.tracker.running = None, False
+    state.tracker.ticks_before = np.zeros((0, 8))
+
+
+@once_for_a_machine
+def _at_first(machine: Machine) -> Misfit:
+    return misfit(initial(machine).tracker, machine)
+
+
+def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
+    """Returns whether all open numbers were learned from it."""
     gentle = state.pending is not None and not tracker.is_tight(state, state.pending)  # what is learned now
     state.by_steering = gentle and state.window_s >= WIDE_LOOK_S
     tracker.take_segment(state, machine, segment)
@@ -125,42 +121,7 @@ def _fade(state: TrackerState) -> None:
 def misfit(state: TrackerState, machine: Machine) -> Misfit:
     """The present difference from the machine file."""
     off = (state.mean - state.prior_mean)[PLACES]
-    covariance = state.covariance[np.ix_(PLACES, PLACES)]
-    inverse = np.linalg.inv(covariance + np.diag(allowed(machine) ** 2))
-    solved = inverse @ off
-    precision = np.diag(inverse)
-    return Misfit(
-        float(off @ solved),
-        solved**2 / precision,
-        off,
-        np.sqrt(np.diag(covariance)),
-        1.0 / np.sqrt(precision),
-    )
-
-
-@once_for_a_machine
-def allowed(machine: Machine) -> Array:
-    """Sd by which a right file may differ from the result, [n] in the order of NAMES."""
-    _, stated = unknowns.prior(machine)
-    shape = unknowns.base_geometry(machine)
-    out = np.array([math.hypot(stated[AT[name]], ALLOWED_SD[name]) for name in NAMES])
-    centres = {"a": 0, "b": 0, "c": 0, "d": 1, "e": 1}
-    for name, body in centres.items():
-        length = 1.0 if name == "e" else float(shape["abcde".index(name)])
-        cg_sd = (machine.tractor, machine.implement)[body].cg_sd / length
-        out[NAMES.index(name)] = math.hypot(out[NAMES.index(name)], cg_sd)
-    return out
-
-
-def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
-    """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
-    ratio = {name: float(now.sd[NAMES.index(name)]) / limit for name, limit in CONFIRMING_SD.items()}
-    for name, gross in GROSS.items():
-        k = NAMES.index(name)
-        size = math.log1p(gross / machine.tractor.a.value) if name == "a" else gross
-        off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
-        ratio[name] = max(ratio[name], CERTAIN / max(off, 1e-3))
-    return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])
+    return misfit_of(off, state.covariance[np.ix_(PLACES, PLACES)], machine)
 
 
 def is_rough(state: TrackerState) -> bool:
@@ -168,6 +129,14 @@ def is_rough(state: TrackerState) -> bool:
     return math.sqrt(state.disturbance[3]) > ROUGH
 
 
-def rejected_rows(state: TrackerState) -> tuple[float, float]:
+def _rejected(rows: list[tuple[float, float]]) -> float:
+    """Share of outliers among the recent measurements, 0 before there are enough."""
+    if len(rows) < OUTLIER_SEGMENTS // 2:
+        return 0.0
+    refused, every = (rows[-1][k] - rows[0][k] for k in (0, 1))
+    return refused / every if every > 0 else 0.0
+
+
+def _rejected_rows(state: TrackerState) -> tuple[float, float]:
     """(rows rejected as outliers or as not finite, all rows) so far."""
     return float(state.counts[GATED] + state.counts[BAD]), float(state.counts[[USED, GATED, BAD]].sum())

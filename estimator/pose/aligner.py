@@ -133,6 +133,12 @@ def leave_out(state: Aligner, mounts: Collection[str]) -> None:
     state.last_heading = [None, None]
 
 
+def leave_out_turn_rates(state: Aligner, mounts: Collection[str]) -> None:
+    """Do not use the turn rates of these receivers, but those of all others."""
+    for mount, track in state.tracks.items():
+        track.smoothed = mount in mounts
+
+
 def forget(state: Aligner, mounts: Collection[Mount]) -> None:
     """What these receivers have sent was another's."""
     for receiver in state.machine.receiver:

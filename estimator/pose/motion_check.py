@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from tilth.estimator.pose.moments import Moments
 from tilth.estimator.rig.geometry import rotate
 from tilth.estimator.rig.residuals import CRUISE
+from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import BodyPose, Pose
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
@@ -69,31 +71,25 @@ def observe(state: MotionCheck, pose: Pose) -> None:
         _take_roll(body, body_pose)
 
 
-def found(state: MotionCheck) -> dict[str, str]:
-    """What is contradictory now: key of the machine file -> message."""
-    wrong = {}
+def found(state: MotionCheck) -> list[Diagnosis]:
+    """What is contradictory now."""
+    wrong = []
     for name, body in zip(NAMES, state.bodies, strict=True):
         ratio = body.displacement_integral / body.integral_squared if body.weight >= LEAST_INTERVALS else 1.0
         if abs(ratio - 1.0) > LARGEST_DISTANCE_ERROR:
             key = f"receiver on the {name} (source, latency)"
-            size = f"{ratio:.2f} times as far as its receivers' speed says"
-            wrong[key] = f"the {name} goes {size}: {key}?"
+            wrong.append(Diagnosis(Code.FARTHER_THAN_SPEED, key, (name,), amounts=(ratio,)))
         gradient = _gradient(body)
         if abs(gradient) > LARGEST_ROLL_GRADIENT:
             key = f"receiver on the {name} (roll)"
-            size = f"{math.degrees(gradient):+.1f}° per m/s² of lateral acceleration"
-            wrong[key] = (
-                f"the {name}'s measured roll follows its turns by {size}, as no vehicle leans: {key}?"
-            )
+            wrong.append(Diagnosis(Code.ROLL_FOLLOWS_TURNS, key, (name,), amounts=(gradient,)))
     tractor, implement = state.bodies
     difference = float(tractor.rolls.mean[1] - implement.rolls.mean[1])
     if (
         min(tractor.rolls.weight, implement.rolls.weight) >= LEAST_ROLL_POSES
         and abs(difference) > LARGEST_ROLL_DIFFERENCE
     ):
-        key = "receiver (roll)"
-        size = f"{math.degrees(difference):+.0f}° on average"
-        wrong[key] = f"tractor and implement lean apart by {size}, on the same ground: {key}?"
+        wrong.append(Diagnosis(Code.LEAN_APART, "receiver (roll)", amounts=(difference,)))
     return wrong
 
 

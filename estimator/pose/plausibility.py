@@ -16,6 +16,7 @@ from itertools import permutations
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.rig.geometry import Vector
+from tilth.estimator.rig.lifecycle import Persistence
 from tilth.estimator.rig.residuals import pair_of, seen_hitch
 from tilth.schemas.flow import Flag, FlagKind, Mount
 from tilth.schemas.machine import Machine
@@ -78,13 +79,14 @@ class Suspicion:
     """The latest finding, and for how many poses in a row it has been the same."""
 
     verdict: tuple[Flag, ...] = ()
-    streak: int = 0
+    same: Persistence = field(default_factory=Persistence)
 
     def judge(self, found: tuple[Flag, ...]) -> tuple[Flag, ...]:
         """Take the finding of one pose. Returns it if it has persisted, else ()."""
-        self.streak = self.streak + 1 if found == self.verdict else 1
-        self.verdict = found
-        return found if self.streak >= PERSISTENCE else ()
+        if found != self.verdict:
+            self.verdict, self.same = found, Persistence()
+        self.same.look(True)
+        return found if self.same.seen >= PERSISTENCE else ()
 
 
 @once_for_a_machine

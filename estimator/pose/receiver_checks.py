@@ -25,9 +25,11 @@ from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at,
 from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
 from tilth.estimator.rig.geometry import Vector, between, length, wrap
 from tilth.estimator.rig.residuals import UNDER_WAY, hitch_gap, hitch_shares
+from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
-from tilth.schemas.spread import WITHIN, plus_minus
+from tilth.schemas.reasons import Code
+from tilth.schemas.spread import WITHIN
 
 Array = NDArray[np.float64]
 
@@ -46,7 +48,6 @@ TWICE: Final = FlagKind.ROLL_CORRECTED_TWICE
 NOT: Final = FlagKind.NOT_ROLL_CORRECTED
 UNCLEAR: Final = FlagKind.ROLL_CORRECTION
 KINDS: Final = (SMOOTHED, TWICE, NOT, UNCLEAR)  # of all faults that are found here
-_SET: Final = {TWICE: "true", NOT: "false"}  # fault -> the right value of roll_corrected
 
 
 @dataclass(slots=True)
@@ -71,7 +72,7 @@ class ReceiverChecks:
     rolls: Array = field(default_factory=lambda: np.zeros((2, 2)))
     """Of both bodies: sums of squares of the rolls and of their noise over the hitch samples, rad^2."""
     hitch_samples: int = 0
-    wrong: list[FlagKind | None] = field(default_factory=lambda: [None] * 4)  # keys of _SET
+    wrong: list[FlagKind | None] = field(default_factory=lambda: [None] * 4)  # TWICE, NOT
     unclear: bool = False  # roll_corrected is wrong somewhere, but it is not known where
     last_pose_ns: int = 0
     reported: list[Flag] = field(default_factory=list)  # flags for which an event has been published
@@ -111,9 +112,9 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
         _judge(state, aligner.machine)
 
 
-def usable_yaw_rates(state: ReceiverChecks) -> frozenset[str]:
-    """Mounts of the receivers whose turn rates may be used: all except those that are smoothed."""
-    return frozenset(m.value for m, lag in zip(MOUNTS, state.lags, strict=True) if not lag.smoothed)
+def lagging(state: ReceiverChecks) -> frozenset[str]:
+    """Mounts of the receivers whose turn rates may not be used, since they are smoothed."""
+    return frozenset(m.value for m, lag in zip(MOUNTS, state.lags, strict=True) if lag.smoothed)
 
 
 def turn_rates_known(state: ReceiverChecks) -> bool:
@@ -129,31 +130,25 @@ def flags(state: ReceiverChecks) -> list[Flag]:
     return [*out, Flag(UNCLEAR, "rig")] if state.unclear else out
 
 
-def events(state: ReceiverChecks) -> list[tuple[str, str]]:
-    """(kind, text) of each fault found since the last call; the text says what is wrong and what to do."""
+def begun(state: ReceiverChecks) -> list[tuple[Flag, Diagnosis]]:
+    """Each fault found since the last call."""
     now, before = flags(state), state.reported
     state.reported = now
-    return [(flag.kind, describe(state, flag)) for flag in now if flag not in before]
+    return [(flag, diagnosis(state, flag)) for flag in now if flag not in before]
 
 
-def describe(state: ReceiverChecks, flag: Flag) -> str:
-    """The meaning of a flag of `flags`, and what to do."""
-    kind, who = flag.kind, flag.of
-    if kind == UNCLEAR:
-        return (
-            "the hitch moves with roll as if roll_corrected were wrong on the tractor or on the implement: "
-            "compare it with what their receivers are set to"
-        )
-    k = [mount.value for mount in MOUNTS].index(who)
-    if kind == SMOOTHED:
+def diagnosis(state: ReceiverChecks, flag: Flag) -> Diagnosis:
+    """Of a flag of `flags`: how far it is off."""
+    key = f"receiver.{flag.of}.roll_corrected"
+    if flag.kind == UNCLEAR:
+        return Diagnosis(Code.ROLL_CORRECTION_UNCLEAR, key)
+    k = [mount.value for mount in MOUNTS].index(flag.of)
+    if flag.kind == SMOOTHED:
         tau, sd = time_constant(state.lags[k])
-        return (
-            f"{who}: its turn rate lags by {plus_minus(tau, sd, 's')} and is not used, and what was learned "
-            "with it is forgotten: turn its smoothing off"
-        )
+        return Diagnosis(Code.YAW_RATE_SMOOTHED, "receiver", (flag.of,), amounts=(tau,), sds=(sd,))
     c, sds = responses(state)
-    leans = f"{who}: it moves with roll by {plus_minus(float(c[k]), float(sds[k]))} of its height"
-    return f"{leans}: set roll_corrected = {_SET[kind]} in the machine file"
+    code = Code.CORRECTED_TWICE if flag.kind == TWICE else Code.NOT_CORRECTED
+    return Diagnosis(code, key, (flag.of,), amounts=(float(c[k]),), sds=(float(sds[k]),))
 
 
 def clock_stepped(state: ReceiverChecks) -> None:

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from tilth.estimator.pose.moments import Moments
 from tilth.estimator.rig.residuals import CRUISE, path_angle
+from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
+from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
@@ -29,7 +31,6 @@ NO_CORRELATION: Final = 0.3  # below, the two signals are unrelated
 LARGEST_RATIO: Final = 2.7  # sd of the reading over sd of the angle without slip
 SMALLEST_RATIO: Final = 0.38
 STUCK_RATIO: Final = 0.12  # below, the reading does not move although the tractor turns
-DEGREES: Final = (20.0, 160.0)  # factors near 57.3: degrees and radians were confused
 
 
 @dataclass(slots=True)
@@ -50,33 +51,27 @@ def observe(state: WheelCheck, machine: Machine, pose: Pose) -> None:
     state.moments.add(state.smoothed, MEMORY)
 
 
-def verdict(state: WheelCheck) -> tuple[str, str]:
-    """(key of the machine file, message), or ("", "") if nothing is wrong."""
+def verdict(state: WheelCheck) -> Diagnosis | None:
+    """What is wrong, if anything is."""
     if state.moments.weight < LEAST_POSES:
-        return "", ""
+        return None
     moments = state.moments.covariance
     path_sd, reading_sd = np.sqrt(np.diag(moments))
     if max(path_sd, reading_sd) < LEAST_ANGLE_SD:
-        return "", ""
+        return None
     if path_sd > LEAST_ANGLE_SD and reading_sd < STUCK_RATIO * path_sd:
         return _wrong_scale(reading_sd / path_sd)
     correlation = moments[0, 1] / max(path_sd * reading_sd, 1e-12)
     if path_sd < LEAST_ANGLE_SD / 3.0:
-        return "wheel_angle", "the wheels' angle moves, the tractor does not turn: wheel_angle?"
+        return Diagnosis(Code.WHEEL_MOVES_ALONE, "wheel_angle")
     if correlation < -SURE_CORRELATION:
-        text = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
-        return "wheel_angle.sign", text
+        return Diagnosis(Code.WHEEL_OPPOSITE, "wheel_angle.sign")
     if correlation > SURE_CORRELATION and not SMALLEST_RATIO < reading_sd / path_sd < LARGEST_RATIO:
         return _wrong_scale(reading_sd / path_sd)
     if abs(correlation) < NO_CORRELATION and path_sd > LEAST_ANGLE_SD and reading_sd > LEAST_ANGLE_SD:
-        text = "the wheels' angle has nothing to do with the yaw rate: wheel_angle (id, bytes, delay)?"
-        return "wheel_angle", text
-    return "", ""
+        return Diagnosis(Code.WHEEL_UNRELATED, "wheel_angle")
+    return None
 
 
-def _wrong_scale(ratio: float) -> tuple[str, str]:
-    size = f"{ratio:.2g} times" if ratio >= 1.0 else f"1/{1.0 / max(ratio, 1e-3):.2g} of"
-    text = f"the wheels' angle is {size} what the yaw rate asks for: wheel_angle.scale?"
-    if DEGREES[0] < max(ratio, 1.0 / max(ratio, 1e-3)) < DEGREES[1]:
-        text += " (degrees per bit, not radians)"
-    return "wheel_angle.scale", text
+def _wrong_scale(ratio: float) -> Diagnosis:
+    return Diagnosis(Code.WHEEL_SCALE, "wheel_angle.scale", numbers=("wheel_gain",), amounts=(float(ratio),))

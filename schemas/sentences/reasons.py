@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences.diagnosis import DIAGNOSES
 from tilth.schemas.spread import share
 
 ENGLISH: Final = "en"  # key of the tables of words
@@ -116,6 +117,8 @@ def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
     if reason is None:
         return ""
     of = reason.of
+    if reason.code in DIAGNOSES:
+        return DIAGNOSES[reason.code](of, reason.numbers)
     text = LANGUAGES[language][reason.code].format(
         of=of,
         n=[_Number(number) for number in reason.numbers],

@@ -24,7 +24,7 @@ from tilth.client.calibration.shown import (
     ParkedSenders,
 )
 from tilth.estimator.calibration import stages
-from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.estimator.calibration.stage_words import PARK_S
 from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.schemas.invocation import started_as
@@ -61,7 +61,7 @@ def test_numbers_are_shown_as_before_and_now() -> None:
     answer["numbers"][0]["status"] = NOT_IDENTIFIABLE
     state = shown_of(fold_of(STANDS), answer)
     assert list(state.found) == ["two are exchanged"]
-    assert [row.words for row in state.numbers] == [number.words for number in NUMBERS]
+    assert [row.words for row in state.numbers] == [number.words for number in SOUGHT]
     assert state.numbers[0].change == "stays as it is"
     assert all("±" in row.change for row in state.numbers[1:])
     assert all(row.before.startswith("±") and row.before != row.now for row in state.numbers)

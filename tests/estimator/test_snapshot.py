@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 from circle import demo_machine
 
+from tilth.estimator.diagnosis import consistency
 from tilth.estimator.fold import State, initial, step
-from tilth.estimator.methods import consistency
+from tilth.estimator.methods import open_tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, Estimator
+from tilth.estimator.methods.open_tracker import OpenTracker
+from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.snapshot import VERSION, NotRestorable, restore, restore_decoder, snapshot
 from tilth.estimator.state_json import from_json_data, to_json_data
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code, Reason
 from tilth.simulator.scenario import Scenario
@@ -71,11 +75,17 @@ def test_each_attribute_of_a_method_comes_back_in_its_place(row: Estimator) -> N
 
 
 def test_each_attribute_of_consistency_comes_back_in_its_place() -> None:
-    state = consistency.initial(MACHINE)
-    changed(state.open)
+    state = consistency.Consistency()
     state.confirmed, state.open_restarted, state.missing = True, True, Reason(Code.DOUBTED, ("tractor.a",))
-    state.rows, state.methods = [(1.0, 2.0)], {"pem": {"C_af": "far off"}}
-    state.findings = {"a": consistency.Finding("a", "is wrong")}
+    one = Diagnosis(
+        Code.DRIVING_FINDS, "tractor.a", ("a",), ("a",), (0.1,), (0.2,), 7, DiagnosisState.ISOLATED
+    )
+    state.methods = {"pem": [one]}
+    state.cases = {"a": FaultCase(one, one, Persistence(1, 2), 3)}
+    tracker = changed(open_tracker.initial(MACHINE).tracker)
+    open_state = OpenTracker(tracker, 7, [(1.0, 2.0)])
+    again = from_json_data(OpenTracker, json.loads(json.dumps(to_json_data(open_state))))
+    assert to_json_data(again) == to_json_data(open_state)
     again = from_json_data(consistency.Consistency, json.loads(json.dumps(to_json_data(state))))
     assert to_json_data(again) == to_json_data(state)
 

@@ -12,9 +12,10 @@ from logs import MACHINE
 from loopback import records_of, rig, until
 
 from tilth.cli import main
-from tilth.estimator.watch.hypotheses import WHEEL, judge, posterior
-from tilth.estimator.watch.information import InformationForm, N
-from tilth.estimator.watch.watch import Moved, directions_of
+from tilth.estimator.diagnosis.hypotheses import judge, posterior
+from tilth.estimator.diagnosis.information import InformationForm, N
+from tilth.estimator.diagnosis.watch import Moved, directions_of
+from tilth.estimator.rig.numbers import WHEEL
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
@@ -73,7 +74,7 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     for frame in drive[: len(drive) // 2]:
         daemon.take(frame)
     fold = daemon.parts.estimation.fold
-    fold.state.watch.moved.append(moved(machine, "implement_front", (0.1, -0.02)))
+    fold.state.diagnosis.watch.moved.append(moved(machine, "implement_front", (0.1, -0.02)))
     name = ["--machine", str(file)]
     asked = (
         ["accept", *name],

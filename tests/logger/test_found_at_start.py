@@ -16,11 +16,11 @@ from logs import MACHINE
 from loopback import numbered, rig
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis.information import InformationForm
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import save_learned
 from tilth.estimator.methods import pem
-from tilth.estimator.watch.hypotheses import WHEEL
-from tilth.estimator.watch.information import InformationForm
-from tilth.estimator.watch.watch import Moved
+from tilth.estimator.rig.numbers import WHEEL
 from tilth.logger import warm_start_file
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
@@ -53,7 +53,7 @@ def talker() -> Iterator[can.BusABC]:
 def kept() -> dict[str, Any]:
     """What a run that has learned something writes."""
     state = fold.initial(MACHINE)
-    state.consistency.confirmed = True
+    state.diagnosis.consistency.confirmed = True
     state.estimators[pem.METHOD].informed_ns = NOW - 5_000_000_000
     moved = Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, InformationForm(), InformationForm())
     text = warm_start_file.text_of(MACHINE, save_learned(state, NOW), NOW, moved=[moved])
@@ -73,7 +73,7 @@ LYING_THERE: dict[str, Callable[[Path], object]] = {
     "braces": lambda path: path.write_text('{"a":' * 100_000),
     "no text": lambda path: path.write_bytes(bytes(range(256))),
     "a file of 100 MB": _large,
-    "a long number": lambda path: path.write_text('{"format": 1, "utc_ns": ' + "9" * 5000 + "}"),
+    "a long number": lambda path: path.write_text('{"format": 2, "utc_ns": ' + "9" * 5000 + "}"),
 }
 
 

@@ -13,16 +13,16 @@ from logs import MACHINE, MACHINE_TEXT
 from loopback import rig
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis.information import InformationForm
+from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import resume, save_learned
 from tilth.estimator.methods import pem, steady_state, tracker
-from tilth.estimator.methods.consistency import Finding
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
+from tilth.estimator.rig.lifecycle import FaultCase
+from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import DOUBLES_S
-from tilth.estimator.watch.hypotheses import WHEEL
-from tilth.estimator.watch.information import InformationForm
-from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
@@ -31,6 +31,7 @@ from tilth.logger.warm_start_file import CLOCK_IS_WRONG_S, NotUsable
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Event, Frame, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
@@ -56,7 +57,7 @@ def teach(state: fold.State, informed_ns: int) -> None:
         covariance = root @ root.T + np.diag((0.01 * sd) ** 2)
         memory.resume(ours, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
         ours.informed_ns = informed_ns
-    state.consistency.confirmed = True
+    state.diagnosis.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
     state.estimators[pem.METHOD].window_s = 90.0
     state.estimators[pem.METHOD].model_sd = np.array([0.02, 0.02, 0.03, 0.05, 0.05, 0.05]) / 10.0
@@ -100,16 +101,16 @@ def from_json(state: fold.State) -> Any:
 
 def test_what_was_learned_while_the_machine_file_is_in_doubt_is_not_kept() -> None:
     state = taught()
-    state.consistency.confirmed = False
+    state.diagnosis.consistency.confirmed = False
     assert save_learned(state, NOW) == {}
 
 
 def test_what_was_kept_was_confirmed() -> None:
     state = fold.initial(MACHINE)
     resume(state, {}, 0.0, NOW)
-    assert not state.consistency.confirmed
+    assert not state.diagnosis.consistency.confirmed
     resume(state, save_learned(taught(), NOW), 0.0, NOW)
-    assert state.consistency.confirmed
+    assert state.diagnosis.consistency.confirmed
 
 
 def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
@@ -222,7 +223,7 @@ def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str,
 @pytest.mark.parametrize(
     "change",
     [
-        lambda plain: {**plain, "format": 2},
+        lambda plain: {**plain, "format": 3},
         lambda plain: {k: v for k, v in plain.items() if k != "sections"},
         lambda plain: {**plain, "methods": {"pem": {"mean": 5}}},
         lambda plain: {**plain, "methods": []},
@@ -347,20 +348,20 @@ def test_what_the_next_run_has_to_know_is_kept_at_once(
     first.close()
     daemon, _ = a_run(tmp_path, keep=True)
     state = daemon.parts.estimation.fold.state
-    assert state.consistency.confirmed and not a_second_later(daemon)
+    assert state.diagnosis.consistency.confirmed and not a_second_later(daemon)
     if what == "contradiction":
-        finding = Finding("tractor.a", "driving finds tractor.a twice as long: tractor.a?", active=True)
-        state.consistency.findings["tractor.a"] = finding
+        finding = Diagnosis(Code.WHEEL_OPPOSITE, "wheel_angle.sign", state=DiagnosisState.ISOLATED)
+        state.diagnosis.consistency.cases[finding.key] = FaultCase(finding, finding)
     elif what in ("slipped", "displaced"):
-        state.watch.moved = [slipped() if what == "slipped" else displaced()]
+        state.diagnosis.watch.moved = [slipped() if what == "slipped" else displaced()]
     elif "accepted" in what:
         daemon.parts.estimation.fold.accept(Accepted(NOW, WHEEL, (0.0175,), (0.001,)))
-    state.consistency.confirmed = what in ("nothing", "displaced")
+    state.diagnosis.consistency.confirmed = what in ("nothing", "displaced")
     assert a_second_later(daemon) == at_once and not a_second_later(daemon)
     if what == "doubt after accepted":
         teach(state, Clock().t_ns())
         daemon._keeping.keep(Clock().t_ns(), daemon.parts.outlets.recording)  # type: ignore[union-attr]
-        state.consistency.confirmed, methods = False, True
+        state.diagnosis.consistency.confirmed, methods = False, True
     daemon.close()
     kept = on_the_disk(tmp_path)
     assert bool(kept["methods"]) == methods
@@ -378,8 +379,8 @@ def test_what_was_found_moved_stays_so_after_a_restart(
     first, _ = a_run(tmp_path, keep=True)
     state = first.parts.estimation.fold.state
     teach(state, Clock().t_ns())
-    state.watch.moved = [found()]
-    state.consistency.confirmed = found is displaced
+    state.diagnosis.watch.moved = [found()]
+    state.diagnosis.consistency.confirmed = found is displaced
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
     second, told = a_run(tmp_path, second_rig, keep=True)

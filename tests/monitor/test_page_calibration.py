@@ -18,7 +18,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 from stage import Monitor
 
-from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.priors import SOUGHT
 
 PICTURE = ROOT / "docs/pictures/page-calibration.png"
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -78,7 +78,7 @@ def _computed(page: Page) -> None:
     expect(page.locator("#calibration-told")).to_have_text(re.compile("^✔"))
     expect(page.locator("#calibration-computed")).to_contain_text("Computing with")
     rows = page.locator("#calibration-rows tr")
-    expect(rows).to_have_count(len(NUMBERS))
+    expect(rows).to_have_count(len(SOUGHT))
     expect(rows.first).to_contain_text("yaw of the tractor's pair")
     expect(page.locator("#calibration-rows tr[data-status=told]").first).to_contain_text("✔ good")
     # How many numbers so short a drive tells only roughly is a matter of a hair: perhaps none.
@@ -113,7 +113,7 @@ def _readable(page: Page) -> None:
 
 def _finished(phone: Page) -> None:
     """A second tap is wanted."""
-    expect(phone.locator("#calibration-rows tr")).to_have_count(len(NUMBERS))  # who comes later sees the same
+    expect(phone.locator("#calibration-rows tr")).to_have_count(len(SOUGHT))  # who comes later sees the same
     for wide in ("document.documentElement", "document.querySelector('#calibration-numbers')"):
         assert phone.evaluate(f"{wide}.scrollWidth - {wide}.clientWidth") <= 0
     finish = phone.locator("#calibration-finish")

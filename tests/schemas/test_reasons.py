@@ -11,7 +11,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason
 from tilth.schemas.sentences import advice_sentence, sentence
 
-OF, NUMBERS = ("pem", "tracker", "steady_state"), (0.1, 3.0, 16.3)
+OF, NUMBERS = ("pem", "tracker", "steady_state"), (0.1, 3.0, 16.3, 2.0)
 
 
 def of_everything(reason: Reason | None, advice: Advice | None) -> Estimate:

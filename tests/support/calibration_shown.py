@@ -10,7 +10,7 @@ from tilth.client.calibration.shown import (
     shown,
 )
 from tilth.estimator.calibration import stages
-from tilth.estimator.calibration.priors import NUMBERS
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED
 
 STANDS: Plan = ((10, 0.0, 0),)
@@ -31,6 +31,6 @@ def computed(**changes: Any) -> dict[str, Any]:
             "prior_sd": number.prior_sd,
             "wanted_sd": number.wanted_sd, "moved": number.prior_sd / 3, "tell": "",
         }
-        for number in NUMBERS
+        for number in SOUGHT
     ]  # fmt: skip
     return {"numbers": rows, "faults": [{"kind": "swapped", "text": "two are exchanged"}], **changes}

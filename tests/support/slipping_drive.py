@@ -5,9 +5,10 @@ import math
 import numpy as np
 from circle import START_NS, demo_machine
 
+from tilth.estimator.diagnosis import wheel_speed
+from tilth.estimator.diagnosis.wheel_speed import Instant, WheelSpeedState
 from tilth.estimator.pose.aligner import POSE_NS
-from tilth.estimator.watch import wheel_speed
-from tilth.estimator.watch.wheel_speed import Instant, RadiusFound, WheelSpeedState
+from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.machine import Machine, Quantity
 
 MACHINE = demo_machine()
@@ -38,7 +39,7 @@ class SlippingDrive:
         self.mean, self._length = mean, float(self._rng.uniform(50.0, 300.0))
         self._sd, self._light = float(self._rng.uniform(0.01, 0.04)), float(self._rng.uniform(0.002, 0.013))
 
-    def other_fields(self, count: int, minutes: float) -> list[RadiusFound]:
+    def other_fields(self, count: int, minutes: float) -> list[Diagnosis]:
         """One after the other: the mean slip steps by 5 %."""
         found = []
         for _ in range(count):
@@ -49,8 +50,8 @@ class SlippingDrive:
     def stand(self, seconds: float = 600.0) -> None:
         self.t_ns += round(seconds * 1e9)
 
-    def drive(self, minutes: float) -> list[RadiusFound]:
-        found, end_ns = list[RadiusFound](), self.t_ns + round(minutes * 60e9)
+    def drive(self, minutes: float) -> list[Diagnosis]:
+        found, end_ns = list[Diagnosis](), self.t_ns + round(minutes * 60e9)
         poses = round(self.row / (SPEED * 0.2))
         while self.t_ns < end_ns:
             for k in range(poses):
@@ -68,7 +69,7 @@ class SlippingDrive:
             self._light if lifted and self.lifts else min(max(self.mean + self._wandering, self._light), MOST)
         )
 
-    def _pose(self, speed: float, yaw_rate: float, slip: float) -> list[RadiusFound]:
+    def _pose(self, speed: float, yaw_rate: float, slip: float) -> list[Diagnosis]:
         self.t_ns += POSE_NS
         ground = speed + self._rng.normal(0.0, 0.035)
         wheels = self.factor * speed / (1.0 - slip) + self._rng.normal(0.0, 0.01)

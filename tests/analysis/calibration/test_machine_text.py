@@ -7,7 +7,7 @@ from kinematic_drive import FILE, MACHINE
 from tilth.analysis.calibration.machine_text import difference, from_to, rewritten, unfilled
 from tilth.estimator.calibration.changes import KINGPIN_DISTANCE_M, Changes, applied, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.priors import NUMBER
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.replay.wheel_by_way import WheelWord, reading_as
 from tilth.schemas.machine_toml import parse_machine
 
@@ -77,7 +77,7 @@ def test_what_the_file_goes_from_and_to() -> None:
     assert found["aside_t"] == found["pair_t"] == "position" and found["aside_i"] == ""
     assert found["latency"] == "latency 0.1 → 0.08, 0.15, 0.1, 0.1"
     assert found["roll_zero_tractor_rear"] == "roll_zero 0 → 0.573"
-    assert set(found) == set(NUMBER)
+    assert set(found) == {number.name for number in SOUGHT}
 
 
 def test_exchanged_receivers_stay_in_their_order() -> None:

@@ -11,7 +11,7 @@ from logs import MACHINE
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.calibrated_file import calibrated_machine, identified_changes
 from tilth.estimator.calibration.changes import Changes
-from tilth.estimator.calibration.priors import NUMBER
+from tilth.estimator.calibration.priors import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED, NOT_IDENTIFIABLE, NumberVerdict, RigVerdict
 
 FOUND = cast(  # what of a calibration goes into the file
@@ -26,9 +26,14 @@ def verdict(**sds: float) -> RigVerdict:
     """Numbers that are named are told with that sd, the others are not told."""
     numbers = tuple(
         NumberVerdict(
-            number, 0.0, sds.get(name, 1.0), None, None, IDENTIFIED if name in sds else NOT_IDENTIFIABLE
+            number,
+            0.0,
+            sds.get(number.name, 1.0),
+            None,
+            None,
+            IDENTIFIED if number.name in sds else NOT_IDENTIFIABLE,
         )
-        for name, number in NUMBER.items()
+        for number in SOUGHT
     )
     return RigVerdict(numbers, 0.0, 0, 1.0, {}, ())
 

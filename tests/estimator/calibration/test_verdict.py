@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from logs import MACHINE
 
-from tilth.estimator.calibration import priors
 from tilth.estimator.calibration.initial_guess import DrivingCoverage
 from tilth.estimator.calibration.verdict import IDENTIFIED, NumberVerdict, _not_covered, soil_cost
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
+from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.flow import PARAMETERS
 
 
@@ -21,7 +21,7 @@ def test_what_numbers_cost_goes_with_the_sds_that_are_published(published: float
     covariance[gain, gain] = 0.002**2
     covariance[c_af, gain] = covariance[gain, c_af] = 10.0 * 0.002**2
     covariance[c_af, c_af] = 0.01**2 + (10.0 * 0.002) ** 2
-    numbers = [NumberVerdict(priors.NUMBER["wheel_gain"], 0.0, published, None, None, IDENTIFIED)]
+    numbers = [NumberVerdict(NUMBER["wheel_gain"], 0.0, published, None, None, IDENTIFIED)]
     whole, share = soil_cost(covariance, MACHINE, numbers)[PARAMETERS[0]]
     assert share == pytest.approx(10.0 * published, rel=1e-3)
     assert whole == pytest.approx(math.hypot(0.01, 10.0 * published), rel=1e-3)

@@ -13,6 +13,8 @@ from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.schemas.flow import (
     Pose,
 )
+from tilth.schemas.reasons import Code
+from tilth.schemas.sentences import sentence
 
 
 def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05) -> Iterator[Pose]:
@@ -45,7 +47,7 @@ def test_ways_and_speeds_rolls_and_turns(wrong: dict[str, float], texts: tuple[s
     state = MotionCheck()
     for pose in on_a_slope(**wrong):
         motion_check.observe(state, pose)
-    found = list(motion_check.found(state).values())
+    found = [sentence(one.reason) for one in motion_check.found(state)]
     assert len(found) == len(texts)
     assert all(part in text for part, text in zip(texts, found, strict=True)), found
 
@@ -63,4 +65,4 @@ def test_a_slope_that_is_turned_round_on_is_no_lean(slope_deg: float) -> None:
         tractor, implement = bodies
         pose = replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
         motion_check.observe(state, pose)
-        assert not any("follows its turns" in text for text in motion_check.found(state).values())
+        assert not any(one.code is Code.ROLL_FOLLOWS_TURNS for one in motion_check.found(state))

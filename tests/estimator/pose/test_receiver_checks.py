@@ -25,7 +25,7 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Event, Flag, FlagKind, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
-from tilth.schemas.sentences import event_sentence
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.scenario import Ground, Scenario
 from tilth.simulator.traffic import simulate
 
@@ -100,8 +100,8 @@ def drive(
             count += 1
             if count == stored_at:
                 state = from_json_data(ReceiverChecks, json.loads(json.dumps(to_json_data(state))))
-            for kind, text in receiver_checks.events(state):
-                found.append(((pose.t_ns - first_ns) * 1e-9, kind, text))
+            for flag, told in receiver_checks.begun(state):
+                found.append(((pose.t_ns - first_ns) * 1e-9, flag.kind, sentence(told.reason)))
     return state, found
 
 
@@ -143,7 +143,7 @@ def test_a_smoothed_turn_rate_is_found_in_the_first_turn_and_not_used() -> None:
     }
     assert all("turn its smoothing off" in text for _, _, text in found)
     assert len(found) == 2 and max(at for at, _, _ in found) < 20.0
-    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in IMPLEMENT}
+    assert receiver_checks.lagging(state) == {m.value for m in TRACTOR}
     for lag in state.lags[:2]:
         tau, sd = time_constant(lag)
         assert abs(tau - 1.0) < 0.15 and sd < 0.1
@@ -153,7 +153,7 @@ def test_a_smoothed_turn_rate_is_found_in_the_first_turn_and_not_used() -> None:
 def test_one_smoothed_turn_rate_of_four_is_found() -> None:
     state, found = drive(FLAT, 30.0, Smoothed({Mount.IMPLEMENT_REAR: 2.0}, mean=True))
     assert [who(text) for _, _, text in found] == ["implement_rear"]
-    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_rear"}
+    assert receiver_checks.lagging(state) == {"implement_rear"}
 
 
 ALONE = MACHINE.model_copy(
@@ -167,7 +167,7 @@ def test_behind_the_heading_of_one_receiver_alone_it_is_found_as_well(tau: float
     state, found = drive(FLAT, 40.0, Smoothed({Mount.IMPLEMENT_FRONT: tau}), ALONE, believed=ALONE)
     ((at, kind, text),) = found
     assert (kind, who(text)) == (receiver_checks.SMOOTHED, "implement_front") and at < 35.0
-    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount} - {"implement_front"}
+    assert receiver_checks.lagging(state) == {"implement_front"}
     assert receiver_checks.flags(state) == [Flag.parse("smoothed_yaw_rate:implement_front")]
     lag, sd = time_constant(state.lags[2])
     assert abs(lag - tau) < max(0.25 * tau, 4 * sd)
@@ -271,7 +271,7 @@ def test_on_even_ground_roll_correction_stays_unknown() -> None:
 def test_where_nothing_is_wrong_nothing_is_found(scenario: Scenario) -> None:
     state, found = drive(scenario, 60.0)
     assert not found and not receiver_checks.flags(state)
-    assert receiver_checks.usable_yaw_rates(state) == {m.value for m in Mount}
+    assert not receiver_checks.lagging(state)
     assert all(abs(time_constant(lag)[0]) < 0.05 for lag in state.lags)
 
 
@@ -320,7 +320,7 @@ def learned_before() -> dict[str, SavedPosterior]:
     method_state.mean[:6] += 0.2
     method_state.covariance[:6, :6] *= 0.25
     method_state.informed_ns = 1
-    state.consistency.confirmed = True
+    state.diagnosis.consistency.confirmed = True
     return fold.save_learned(state, 1)
 
 

@@ -9,6 +9,7 @@ from posed import pose_of
 
 from tilth.estimator.pose import wheel_check
 from tilth.estimator.pose.wheel_check import WheelCheck
+from tilth.schemas.sentences import sentence
 
 
 @pytest.mark.parametrize(
@@ -26,8 +27,9 @@ def test_wheel_angle_against_yaw_rate(factor: float, key: str) -> None:
         r = 0.2 * math.sin(0.2 * k)
         angle = factor * math.atan(2.9 * r / 4.0) + rng.normal(0.0, 0.002)
         wheel_check.observe(state, machine, pose_of(4.0, r, angle))
-    assert wheel_check.verdict(state)[0] == key
-    assert ("radians" in wheel_check.verdict(state)[1]) == (factor in (57.3, 1 / 57.3))
+    found = wheel_check.verdict(state)
+    assert (found.key if found else "") == key
+    assert ("radians" in sentence(found.reason if found else None)) == (factor in (57.3, 1 / 57.3))
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.15, 0.3])
@@ -43,7 +45,7 @@ def test_a_chirp_in_which_the_yaw_rate_lags_accuses_nobody(lag_s: float) -> None
         t = 0.2 * k
         rate = 4.0 * math.tan(angle(max(t - lag_s, 0.0))) / 2.9 + rng.normal(0.0, 0.002)
         wheel_check.observe(state, machine, pose_of(4.0, rate, angle(t)))
-        assert wheel_check.verdict(state) == ("", "")
+        assert wheel_check.verdict(state) is None
 
 
 def test_the_wheels_say_nothing_on_straight_rows_at_standstill_and_in_reverse() -> None:
@@ -51,4 +53,4 @@ def test_the_wheels_say_nothing_on_straight_rows_at_standstill_and_in_reverse() 
     for u, r, wheel in ((4.0, 0.001, -0.001), (0.2, 0.2, -0.3), (-2.0, 0.2, 0.3), (4.0, 0.1, None)):
         for _ in range(100):
             wheel_check.observe(state, machine, pose_of(u, r, wheel))
-    assert wheel_check.verdict(state) == ("", "")
+    assert wheel_check.verdict(state) is None

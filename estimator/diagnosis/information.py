@@ -13,8 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.diagnosis.sample import BodySample, Sample
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.numbers import NUMBERS
 from tilth.estimator.rig.residuals import (
     CRUISE,
     LATENCIES,
@@ -28,29 +30,36 @@ from tilth.estimator.rig.residuals import (
     wheel_off,
     wheel_slopes,
 )
-from tilth.estimator.watch.sample import BodySample, Sample
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-CONSTANTS: Final[dict[str, tuple[float, float]]] = {
-    "length_t": (0.3, 0.01), "length_i": (0.3, 0.01),  # m: excess of a pair's length
-    "hitch_t_forward": (0.3, 0.01), "hitch_t_right": (0.3, 0.01),  # m: where the tractor's antennas have it
-    "hitch_i_forward": (0.3, 0.01), "hitch_i_right": (0.3, 0.01),  # m: and the implement's
-    "late_tractor_front": (0.06, 0.003), "late_tractor_rear": (0.06, 0.003),  # s
-    "late_implement_front": (0.06, 0.003), "late_implement_rear": (0.06, 0.003),  # s
-    "crab_t": (0.05, 0.002), "crab_i": (0.05, 0.002),  # rad: way of the axle minus heading of the pair
+SOIL: Final[dict[str, tuple[float, float]]] = {
     "crab_per_turn_t": (0.03, 0.01), "crab_per_turn_i": (0.03, 0.01),  # rad per m/s^2 of lateral acceleration
     "crab_per_roll_t": (0.3, 0.1), "crab_per_roll_i": (0.3, 0.1),  # rad per rad of roll
-    "zero": (0.1, 0.002),  # rad: wheels' reading when straight
-    "gain": (0.3, 0.03), "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
+    "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
 }  # fmt: skip
-"""Prior sd of each constant; sd by which it may drift while nothing is moved: other soil, other slope."""
+"""Prior sd of each effect of soil and slope; sd by which it may drift."""
+CONSTANTS: Final = {row.name: (row.watch_sd, row.drift_sd) for row in NUMBERS if row.watch_sd} | SOIL
+"""The same of the numbers of the rig that samples tell of: by how much each is more than the file says.
+c, d and aside are where the antennas of a body have the hitch."""
 NAMES: Final = tuple(CONSTANTS)
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 N: Final = len(NAMES)
-LENGTH, HITCH, DELAY = AT["length_t"], AT["hitch_t_forward"], AT["late_tractor_front"]
-CRAB, TURN, ROLL, ZERO = AT["crab_t"], AT["crab_per_turn_t"], AT["crab_per_roll_t"], AT["zero"]
+
+
+def _at(*names: str) -> list[int]:
+    return [AT[name] for name in names]
+
+
+LONGER: Final = _at("longer_t", "longer_i")
+HITCH: Final = _at("c", "aside_t", "d", "aside_i")
+FORWARD: Final = np.array([1.0, 1.0, -1.0, 1.0])
+"""Of HITCH, by which the hitch goes forward and right where that number is larger: the implement's d pulls it
+back."""
+DELAY: Final = _at(*(f"latency_{mount.value}" for mount in MOUNTS))
+PAIR, TURN, ROLL = (_at(f"{name}_t", f"{name}_i") for name in ("pair", "crab_per_turn", "crab_per_roll"))
+WHEEL_ROW: Final = _at("wheel_zero", "wheel_gain", "wheel_per_turn", "wheel_per_roll")
 
 KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two crab angles, wheels
 CORRELATED: Final = 25.0  # poses (5 s) whose position errors count as one, as in pose/latency.py
@@ -102,14 +111,14 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
         if _is_gentle(body):
             u, r = body.forward_velocity, body.yaw_rate
             row = design[4 + k]
-            row[CRAB + k], row[TURN + k], row[ROLL + k] = 1.0, u * r, body.roll
+            row[[PAIR[k], TURN[k], ROLL[k]]] = -1.0, u * r, body.roll
             measured[4 + k] = sideways(body.lateral_velocity, r, rig.axles[k]) / u
             there[4 + k] = True
     wheel = now.wheel_angle
     if there[4] and wheel is not None and abs(wheel) < SMALL_ANGLE:
         u, r = now.tractor.forward_velocity, now.tractor.yaw_rate
         path = path_angle(rig.wheelbase, u, r)
-        design[6, ZERO : ZERO + 4] = *wheel_slopes(np.array(path), np.array(u * r)), now.tractor.roll
+        design[6, WHEEL_ROW] = *wheel_slopes(np.array(path), np.array(u * r)), now.tractor.roll
         measured[6] = wheel_off(wheel, path, u * r, 0.0, 1.0, 0.0)
         there[6] = True
     kinds = np.flatnonzero(there).astype(np.int64)
@@ -129,10 +138,10 @@ def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:
     by_place = gap_by_place(np.array(now.articulation), np.array(0.0))
     tractor, implement = (PairSlopes(*(slope[body] for slope in slopes)) for body in (0, 1))
     of_gap = gap_slopes(tractor, implement, by_place, np.array(now.gap)).reshape(2, 2, -1)
-    design[2:4, HITCH : HITCH + 4] = by_place
+    design[2:4, HITCH] = by_place * FORWARD
     for body in (0, 1):
-        late = slice(DELAY + 2 * body, DELAY + 2 * body + 2)
-        design[body, LENGTH + body] = 1.0
+        late = DELAY[2 * body : 2 * body + 2]
+        design[body, LONGER[body]] = 1.0
         design[body, late] = -slopes.excess[body, LATENCIES]
         design[2:4, late] = -of_gap[:, body, LATENCIES]
 

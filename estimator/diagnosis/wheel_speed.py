@@ -21,13 +21,14 @@ driving in each stretch, on long rows sooner than four turns, or where nobody se
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 from tilth.estimator.pose.aligner import POSE_NS, WHEEL_HOLD_NS, Aligner
 from tilth.estimator.pose.receiver_track import sample_at
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.estimator.rig.residuals import CRUISE, speed_off
-from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Pose
 from tilth.schemas.machine import Machine
 
@@ -60,6 +61,15 @@ class RadiusChange:
     sd: float
     since_ns: int
 
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """By how much the radius has changed."""
+        row = HYPOTHESIS[WHEEL_SPEED]
+        return Diagnosis(
+            row.code, row.key, (WHEEL_SPEED,), row.numbers, (self.now, self.before),
+            (self.sd, self.sd_before), self.since_ns, DiagnosisState.ISOLATED,
+        )  # fmt: skip
+
 
 @dataclass(slots=True)
 class WheelSpeedState:
@@ -88,14 +98,7 @@ class Instant(NamedTuple):
     yaw_rate: float | None  # rad/s
 
 
-class RadiusFound(NamedTuple):
-    """What is new: the radius has changed, or it is what it was."""
-
-    change: RadiusChange
-    back: bool = False
-
-
-def observe(state: WheelSpeedState, aligner: Aligner, pose: Pose) -> RadiusFound | None:
+def observe(state: WheelSpeedState, aligner: Aligner, pose: Pose) -> Diagnosis | None:
     """Take one pose. Returns what was found with it."""
     wheels = sample_at(aligner.wheel_speeds, pose.t_ns, WHEEL_HOLD_NS)
     ground = pose.tractor.forward_velocity
@@ -105,7 +108,7 @@ def observe(state: WheelSpeedState, aligner: Aligner, pose: Pose) -> RadiusFound
     return take(state, aligner.machine, now)
 
 
-def take(state: WheelSpeedState, machine: Machine, now: Instant) -> RadiusFound | None:
+def take(state: WheelSpeedState, machine: Machine, now: Instant) -> Diagnosis | None:
     """The same with the speeds of one instant."""
     _stand(state, now)
     if now.yaw_rate is not None and abs(now.yaw_rate) > STRAIGHT:
@@ -188,7 +191,7 @@ def known(state: WheelSpeedState, machine: Machine) -> tuple[float, float] | Non
     return None if state.learned is None else (state.learned, FLOOR_SD)
 
 
-def _look(state: WheelSpeedState, machine: Machine) -> RadiusFound | None:
+def _look(state: WheelSpeedState, machine: Machine) -> Diagnosis | None:
     recent = floor_of(state.lows)
     if recent is None:
         return None
@@ -204,7 +207,7 @@ def _look(state: WheelSpeedState, machine: Machine) -> RadiusFound | None:
         if abs(recent - mean) > BACK * limit:
             return None
         state.change = None
-        return RadiusFound(change, back=True)
+        return replace(change.diagnosis, state=DiagnosisState.CLEARED)
     larger = recent < mean - limit
     all_agree = len(state.lows) == RECENT and max(state.lows) - min(state.lows) < AGREE
     smaller = all_agree and state.floor > mean + limit and state.lowest > mean + BACK * limit
@@ -212,29 +215,15 @@ def _look(state: WheelSpeedState, machine: Machine) -> RadiusFound | None:
         return None
     before, now = math.exp(mean), math.exp(recent)
     state.change = RadiusChange(before, before * sd, now, now * FLOOR_SD, state.since_ns)
-    return RadiusFound(state.change)
-
-
-def message(found: RadiusFound) -> str:
-    """For the event."""
-    if found.back:
-        return "the tyres' radius is what it was before: tractor.wheel_speed_factor"
-    return f"{describe(found.change)}. No estimate uses it; accept it as it is now ({WHEEL_SPEED})"
-
-
-def describe(change: RadiusChange) -> str:
-    """By how much the radius has changed."""
-    one = _accepted(change, 0)
-    return in_words(WHEEL_SPEED, one.amounts, one.sds)
+    return state.change.diagnosis
 
 
 def proposal(state: WheelSpeedState, t_ns: int) -> Accepted | None:
     """The value that may be accepted; None where there is none."""
-    return None if state.change is None else _accepted(state.change, t_ns)
-
-
-def _accepted(change: RadiusChange, t_ns: int) -> Accepted:
-    return Accepted(t_ns, WHEEL_SPEED, (change.now, change.before), (change.sd, change.sd_before))
+    if state.change is None:
+        return None
+    found = state.change.diagnosis
+    return Accepted(t_ns, WHEEL_SPEED, found.amounts, found.sds)
 
 
 def accept(state: WheelSpeedState) -> None:

@@ -7,26 +7,14 @@ row, has been moved. From then on it is compared with how it is now, so that bei
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
-from tilth.estimator.rig.residuals import UNDER_WAY
-from tilth.estimator.watch import wheel_speed
-from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words, key_of
-from tilth.estimator.watch.hypotheses import (
-    DRAWBAR,
-    LATENCIES,
-    PAIRS,
-    WHEEL,
-    Explanation,
-    hypotheses,
-    judge,
-    posterior,
-)
-from tilth.estimator.watch.information import (
+from tilth.estimator.diagnosis import wheel_speed
+from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses, judge, posterior
+from tilth.estimator.diagnosis.information import (
     KINDS,
     InformationForm,
     N,
@@ -35,14 +23,18 @@ from tilth.estimator.watch.information import (
     prior_information,
     rows,
 )
-from tilth.estimator.watch.sample import sample
-from tilth.estimator.watch.wheel_speed import WheelSpeedState
-from tilth.schemas.flow import WITHOUT_RTK, Accepted, EventKind, Mount, Pose
+from tilth.estimator.diagnosis.sample import sample
+from tilth.estimator.diagnosis.wheel_speed import WheelSpeedState
+from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.rig.lifecycle import Persistence
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
+from tilth.estimator.rig.residuals import UNDER_WAY
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
+from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-EVENT: Final = EventKind.MOVED  # kind of the events
 BLOCK: Final = 100  # samples (20 s)
 SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
 LEAST_BEFORE: Final = 6  # blocks before that, to compare with
@@ -52,8 +44,6 @@ RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
 TWICE: Final = 2  # blocks in a row
 NEARLY: Final = 0.6  # share of the chi-square of a latency that may be a receiver
 CLEAR: Final = 3  # blocks in a row after which it is said although a rival is left
-LEAST: Final = {WHEEL: 0.0087, DRAWBAR: 0.05} | dict.fromkeys(PAIRS, 0.007)  # rad, m, rad
-LEAST_MOVED: Final = 0.025  # m, of a receiver: it turns its pair by half a degree
 SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
 
 
@@ -72,6 +62,16 @@ class Moved:
         None  # of an earlier run's: the samples of this one, by which it may be back
     )
 
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What has been moved, by how much; suspected while it may be something else as well."""
+        row, sds = HYPOTHESIS[self.names[0]], np.sqrt(np.diag(self.covariance))
+        return Diagnosis(
+            row.code, row.key, tuple(self.names), row.numbers, tuple(self.amounts.tolist()),
+            tuple(sds.tolist()), self.since_ns,
+            DiagnosisState.SUSPECTED if self.names[1:] else DiagnosisState.ISOLATED,
+        )  # fmt: skip
+
 
 @dataclass(slots=True)
 class WatchState:
@@ -87,19 +87,12 @@ class WatchState:
         default_factory=lambda: np.ones(KINDS)
     )  # variance of a pose's rows over the expected
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
-    suspected_blocks: int = 0  # in a row, in which something was suspected
+    suspected: Persistence = field(default_factory=Persistence)  # blocks in which something was
     moved: list[Moved] = field(default_factory=list)
     wheel_speed: WheelSpeedState = field(default_factory=WheelSpeedState)  # of the tyres' radius
 
 
-class Found(NamedTuple):
-    """What is new: it has been moved, or it is known now which one it was, or it is back where it was."""
-
-    moved: Moved
-    back: bool = False
-
-
-def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Found]:
+def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Diagnosis]:
     """Take one pose. Returns what was found moved with it."""
     speed = pose.tractor.forward_velocity
     if speed is None or speed < UNDER_WAY or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
@@ -160,7 +153,7 @@ def _sum(parts: list[InformationForm]) -> InformationForm:
     )
 
 
-def _look(state: WatchState, machine: Machine) -> list[Found]:
+def _look(state: WatchState, machine: Machine) -> list[Diagnosis]:
     state.mean, _ = posterior(_sum([state.old, *state.blocks]))
     told = _follow(state, machine)
     best: tuple[int, list[Explanation]] | None = None
@@ -172,12 +165,12 @@ def _look(state: WatchState, machine: Machine) -> list[Found]:
         if best is None or explanations[0].chi_square > best[1][0].chi_square:
             best = (since, explanations)
     if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
-        state.suspected_blocks = 0
+        state.suspected.look(False)
         return told
     return told + _suspect(state, machine, *best)
 
 
-def _follow(state: WatchState, machine: Machine) -> list[Found]:
+def _follow(state: WatchState, machine: Machine) -> list[Diagnosis]:
     """How far what has been moved is moved by all samples since; returns what is known by name now."""
     told = []
     for moved in list(state.moved):
@@ -185,17 +178,17 @@ def _follow(state: WatchState, machine: Machine) -> list[Found]:
             moved.now = _sum([moved.now, state.blocks[-1]])
             if _is_back(machine, moved, moved.now):
                 state.moved.remove(moved)
-                told.append(Found(moved, back=True))
+                told.append(replace(moved.diagnosis, state=DiagnosisState.CLEARED))
             continue
         if moved.followed:
             moved.after = _sum([moved.after, state.blocks[-1]])
         explanations = judge(machine, *posterior(moved.before), moved.after)
-        names = _names(explanations)
+        names, before = _names(explanations), moved.names
         if len(moved.names) > 1 and names:
             moved.names = names
-            if len(names) == 1:
-                told.append(Found(moved))
         _set(moved, next(explanation for explanation in explanations if explanation.name == moved.names[0]))
+        if len(moved.names) == 1 < len(before):
+            told.append(moved.diagnosis)
     return told
 
 
@@ -228,48 +221,48 @@ def _set(moved: Moved, explanation: Explanation) -> None:
 def _names(explanations: list[Explanation]) -> list[str]:
     """What explains it about as well as the best does."""
     least = explanations[0].chi_square - RIVAL
-    return [v.name for v in explanations if v.chi_square > least and v.name not in LATENCIES]
+    return [v.name for v in explanations if v.chi_square > least and not HYPOTHESIS[v.name].absorbed]
 
 
 def _like_another(explanations: list[Explanation]) -> bool:
     """Whether something that is no latency explains it nearly as well as the latency that does best."""
-    others = [v.chi_square for v in explanations if v.name not in LATENCIES]
+    others = [v.chi_square for v in explanations if not HYPOTHESIS[v.name].absorbed]
     return max(others) > NEARLY * explanations[0].chi_square
 
 
-def _suspect(state: WatchState, machine: Machine, since: int, explanations: list[Explanation]) -> list[Found]:
+def _suspect(
+    state: WatchState, machine: Machine, since: int, explanations: list[Explanation]
+) -> list[Diagnosis]:
     """Something has been moved, if that is so block after block."""
     first, names = explanations[0], _names(explanations)
-    state.suspected_blocks += 1
-    if state.suspected_blocks < (TWICE if len(names) < 2 else CLEAR):
+    state.suspected.look(True)
+    if state.suspected.seen < (TWICE if len(names) < 2 else CLEAR):
         return []
-    if first.name in LATENCIES and _like_another(explanations):
+    if HYPOTHESIS[first.name].absorbed and _like_another(explanations):
         return []  # a receiver that is further forward looks alike until it is driven at another speed
-    state.suspected_blocks = 0
+    state.suspected = Persistence()
     before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
     _absorb(state, machine, since, before, first)
     for moved in state.moved:
         moved.followed = False
-    if first.name in LATENCIES:  # the poses learn it too
+    if HYPOTHESIS[first.name].absorbed:  # the poses learn it too
         return []
     known = next((moved for moved in state.moved if first.name in moved.names), None)
     if known is None:
         found = Moved(names, first.amounts, first.covariance, after.since_ns, before, after)
         state.moved.append(found)
-        return [Found(found)]
+        return [found.diagnosis]
     known.after, known.followed, known.now = after, True, None
     again = judge(machine, *posterior(known.before), after)
     _set(known, next(explanation for explanation in again if explanation.name == known.names[0]))
     if _matters(Explanation(known.names[0], 0.0, known.amounts, known.covariance)):
-        return [Found(known)]
+        return [known.diagnosis]
     state.moved.remove(known)
-    return [Found(known, back=True)]
+    return [replace(known.diagnosis, state=DiagnosisState.CLEARED)]
 
 
 def _matters(explanation: Explanation) -> bool:
-    if explanation.name in LATENCIES:
-        return True
-    return float(np.linalg.norm(explanation.amounts)) > LEAST.get(explanation.name, LEAST_MOVED)
+    return float(np.linalg.norm(explanation.amounts)) > HYPOTHESIS[explanation.name].least
 
 
 def _absorb(
@@ -285,27 +278,10 @@ def _absorb(
     state.blocks = state.blocks[-since:]
 
 
-def message(found: Found, t_ns: int) -> str:
-    """For the event; t_ns: now."""
-    moved = found.moved
-    what = moved.names[0]
-    if found.back:
-        return f"{what} is where it was before, and is used again"
-    minutes = max(t_ns - moved.since_ns, 0) * 1e-9 / 60.0
-    return f"{describe(moved)}; {minutes:.0f} min ago. {wanted(moved)}"
-
-
-def wanted(moved: Moved) -> str:
-    """What the operator is asked for."""
-    return f"It is not used: accept it as it is now ({' or '.join(moved.names)}), or put it back"
-
-
-def found_now(state: WatchState) -> list[tuple[list[str], str]]:
-    """(names by which it may be accepted, what and by how much) of all that is not as in the file."""
-    found = [(list(moved.names), describe(moved)) for moved in state.moved]
-    if state.wheel_speed.change is not None:
-        found.append(([WHEEL_SPEED], wheel_speed.describe(state.wheel_speed.change)))
-    return found
+def found_now(state: WatchState) -> list[Diagnosis]:
+    """All that is not as in the file, by the names in `of` it may be accepted."""
+    found = [moved.diagnosis for moved in state.moved]
+    return found if state.wheel_speed.change is None else [*found, state.wheel_speed.change.diagnosis]
 
 
 def left_out(state: WatchState) -> frozenset[str]:
@@ -313,16 +289,10 @@ def left_out(state: WatchState) -> frozenset[str]:
     return frozenset(m.names[0] for m in state.moved if len(m.names) == 1 and m.names[0] in set(Mount))
 
 
-def contradictions(state: WatchState) -> dict[str, str]:
-    """Key of the machine file -> message, of what has been moved and cannot be done without."""
+def contradictions(state: WatchState) -> list[Diagnosis]:
+    """What has been moved and cannot be done without."""
     out = left_out(state)
-    return {key_of(m.names[0]): f"{describe(m)}?" for m in state.moved if m.names[0] not in out}
-
-
-def describe(moved: Moved) -> str:
-    """What has been moved, by how much; and what else that may be."""
-    text = in_words(moved.names[0], moved.amounts.tolist(), np.sqrt(np.diag(moved.covariance)).tolist())
-    return ", or it is ".join([text, *moved.names[1:]])
+    return [moved.diagnosis for moved in state.moved if moved.names[0] not in out]
 
 
 def proposal(state: WatchState, machine: Machine, what: str, t_ns: int) -> Accepted | None:
@@ -352,7 +322,7 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
         evidence.vector = evidence.vector - evidence.information @ shift
     state.mean = state.mean - shift
     state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
-    state.suspected_blocks = 0
+    state.suspected = Persistence()
 
 
 def directions_of(machine: Machine, name: str) -> Any:

@@ -11,15 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.aligner import MOUNTS
-from tilth.estimator.rig.residuals import LEVERS, pair_turn
-from tilth.estimator.watch.information import (
-    CRAB,
-    DELAY,
+from tilth.estimator.diagnosis.information import (
+    AT,
+    FORWARD,
     HITCH,
-    LENGTH,
-    ZERO,
+    LONGER,
+    PAIR,
     InformationForm,
     Lengths,
     N,
@@ -28,22 +25,22 @@ from tilth.estimator.watch.information import (
     prior_information,
     slopes_of,
 )
+from tilth.estimator.once import once_for_a_machine
+from tilth.estimator.pose.aligner import MOUNTS
+from tilth.estimator.rig.numbers import HYPOTHESES, PAIRS, WHEEL_SPEED, Hypothesis
+from tilth.estimator.rig.residuals import LEVERS, pair_turn
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
 SMALL: Final = 1e-9  # keeps a direction of which the samples tell nothing from a division by zero
-WHEEL: Final = "wheel_angle"
-DRAWBAR: Final = "drawbar"
-PAIRS: Final = ("pair_tractor", "pair_implement")
-LATENCIES: Final = tuple(f"latency_{mount.value}" for mount in MOUNTS)
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
+class FaultSignature:
     """Something that may have been moved."""
 
-    name: str  # a mount, or one of PAIRS, WHEEL, DRAWBAR, LATENCIES
+    name: str  # a row of HYPOTHESES
     directions: Array  # (N, m): change of the constants by each of its m amounts, m or rad or s
 
 
@@ -57,26 +54,27 @@ class Explanation(NamedTuple):
 
 
 @once_for_a_machine
-def hypotheses(machine: Machine) -> tuple[Hypothesis, ...]:
+def hypotheses(machine: Machine) -> tuple[FaultSignature, ...]:
     """All of a machine file with four receivers."""
     rig = lengths(machine)
     moved = [_moved(rig, body) for body in (0, 1)]
-    found = [
-        Hypothesis(mount.value, moved[k // 2][:, 2 * (k % 2) : 2 * (k % 2) + 2])
-        for k, mount in enumerate(MOUNTS)
-    ]
-    turns = pair_turn(rig.levers)[
-        :, :, None
-    ]  # of both receivers about the middle between them, rad, clockwise
-    found += [Hypothesis(name, moved[body] @ turns[body]) for body, name in enumerate(PAIRS)]
-    found += [_one(WHEEL, ZERO), _one(DRAWBAR, HITCH + 2)]
-    return (*found, *(_one(name, DELAY + k) for k, name in enumerate(LATENCIES)))
+    receivers = {
+        mount.value: moved[k // 2][:, 2 * (k % 2) : 2 * (k % 2) + 2] for k, mount in enumerate(MOUNTS)
+    }
+    turns = pair_turn(rig.levers)[:, :, None]  # of both receivers about the middle between them, clockwise
+    receivers |= {name: moved[body] @ turns[body] for body, name in enumerate(PAIRS)}
+    return tuple(
+        FaultSignature(row.name, receivers[row.name] if row.name in receivers else _alone(row))
+        for row in HYPOTHESES
+        if row.name != WHEEL_SPEED
+    )
 
 
-def _one(name: str, at: int) -> Hypothesis:
+def _alone(row: Hypothesis) -> Array:
+    """What samples tell of directly."""
     directions = np.zeros((N, 1))
-    directions[at, 0] = 1.0
-    return Hypothesis(name, directions)
+    directions[AT[row.numbers[0]], 0] = row.sign
+    return directions
 
 
 def _moved(rig: Lengths, body: int) -> Array:
@@ -85,10 +83,10 @@ def _moved(rig: Lengths, body: int) -> Array:
     What a receiver shows that was moved is what one shows whose place in the file is wrong the other way.
     """
     slopes = slopes_of(rig, np.zeros((2, 3)), np.zeros(2))
-    out = np.zeros((N, 4))
-    out[LENGTH + body] = -slopes.excess[body, LEVERS]
-    out[HITCH + 2 * body : HITCH + 2 * body + 2] = -slopes.hitch[body][:, LEVERS]
-    out[CRAB + body] = slopes.heading[body, LEVERS]  # way of the axle minus heading of the pair
+    out, hitch = np.zeros((N, 4)), slice(2 * body, 2 * body + 2)
+    out[LONGER[body]] = -slopes.excess[body, LEVERS]
+    out[HITCH[hitch]] = -slopes.hitch[body][:, LEVERS] * FORWARD[hitch, None]
+    out[PAIR[body]] = -slopes.heading[body, LEVERS]
     return out
 
 

@@ -9,20 +9,23 @@ from circle import START_NS
 from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 
 from tilth.estimator import fold
-from tilth.estimator.pose import aligner
-from tilth.estimator.pose.aligner import POSE_NS
-from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.watch import watch, wheel_speed
-from tilth.estimator.watch.accepted import WHEEL_SPEED, corrected, in_words, key_of, line_of
-from tilth.estimator.watch.wheel_speed import (
+from tilth.estimator.diagnosis import watch, wheel_speed
+from tilth.estimator.diagnosis.accepted import acceptance, corrected, line_of
+from tilth.estimator.diagnosis.wheel_speed import (
     AGREE,
     AGREEING,
     STAND_NS,
     Instant,
     floor_of,
 )
+from tilth.estimator.pose import aligner
+from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
+from tilth.estimator.snapshot import restore, snapshot
+from tilth.schemas.diagnosis import DiagnosisState
 from tilth.schemas.flow import Accepted, Origin, VehicleSpeed
 from tilth.schemas.machine import Machine, Quantity
+from tilth.schemas.sentences import sentence
 
 
 def with_other_tyres(drive: SlippingDrive, change: float) -> SlippingDrive:
@@ -59,8 +62,8 @@ def test_three_percent_are_found_within_ten_minutes_but_on_soils_that_hide_them(
     found = [drive.drive(10.0) for drive in drives]
     assert all(len(one) <= 1 for one in found) and sum(map(len, found)) >= 11
     for (one,) in filter(None, found):
-        assert not one.back
-        assert one.change.before / one.change.now - 1.0 == pytest.approx(change, abs=0.015)
+        assert one.state is DiagnosisState.ISOLATED
+        assert one.amounts[1] / one.amounts[0] - 1.0 == pytest.approx(change, abs=0.015)
 
 
 @pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES)
@@ -71,9 +74,9 @@ def test_five_percent_are_found_within_ten_minutes_and_over_when_accepted(
 ) -> None:
     drive = with_other_tyres(SlippingDrive(seed, machine, row=200.0), change)
     (found,) = drive.drive(10.0)
-    assert not found.back and found.change.since_ns == drive.state.since_ns
-    assert found.change.before / found.change.now - 1.0 == pytest.approx(change, abs=0.015)
-    assert "the tyres' radius has changed by" in wheel_speed.message(found)
+    assert found.state is DiagnosisState.ISOLATED and found.since_ns == drive.state.since_ns
+    assert found.amounts[1] / found.amounts[0] - 1.0 == pytest.approx(change, abs=0.015)
+    assert "the tyres' radius has changed by" in sentence(found.reason)
     accepted = wheel_speed.proposal(drive.state, drive.t_ns)
     assert accepted is not None and accepted.what == WHEEL_SPEED
     assert accepted.amounts[0] == pytest.approx(drive.factor, abs=0.015)
@@ -91,7 +94,7 @@ def test_the_old_tyres_again_are_said_to_be_back(change: float) -> None:
         drive.factor = factor
         found = drive.drive(20.0)
         drive.stand()
-    assert [one.back for one in found] == [True] and drive.state.change is None
+    assert [one.state for one in found] == [DiagnosisState.CLEARED] and drive.state.change is None
 
 
 def test_less_slip_from_field_to_field_is_no_larger_tyre() -> None:
@@ -105,11 +108,11 @@ def test_less_slip_from_field_to_field_is_no_larger_tyre() -> None:
 
 def test_larger_tyres_need_no_standstill_and_smaller_ones_do() -> None:
     """More slip all over looks like smaller tyres; no slip looks like larger ones."""
-    for factor, expected in ((0.96, [False]), (1.04, [])):
+    for factor, expected in ((0.96, [DiagnosisState.ISOLATED]), (1.04, [])):
         drive = SlippingDrive(2, with_factor(FACTOR), row=200.0)
         assert drive.drive(20.0) == []
         drive.factor *= factor
-        assert [one.back for one in drive.drive(20.0)] == expected
+        assert [one.state for one in drive.drive(20.0)] == expected
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -167,11 +170,11 @@ def test_a_stored_state_goes_on_alike() -> None:
         drive.factor *= 0.96
         drive.drive(3.3)
     state = fold.initial(MACHINE)
-    state.watch.wheel_speed = stored.state
+    state.diagnosis.watch.wheel_speed = stored.state
     text = snapshot(state)
     again = restore(MACHINE, text)
     assert snapshot(again) == text
-    stored.state = again.watch.wheel_speed
+    stored.state = again.diagnosis.watch.wheel_speed
     assert straight.drive(7.0) == stored.drive(7.0) != []
     assert straight.state == stored.state
 
@@ -182,9 +185,9 @@ def test_an_accepted_factor_stands_in_the_machine_file(machine: Machine) -> None
     new = corrected(machine, [one])
     assert new.tractor.wheel_speed_factor == Quantity(value=0.98, sd=0.006)
     assert new.model_copy(update={"tractor": machine.tractor}) == machine
-    assert key_of(WHEEL_SPEED) == "tractor.wheel_speed_factor"
+    assert HYPOTHESIS[WHEEL_SPEED].key == "tractor.wheel_speed_factor"
     assert line_of(new, WHEEL_SPEED) == "[tractor] wheel_speed_factor = { value = 0.9800, sd = 0.0060 }"
-    assert "changed by 4.1 ± 1.5 % (95 %)" in in_words(WHEEL_SPEED, one.amounts, one.sds)
+    assert "changed by 4.1 ± 1.5 % (95 %)" in acceptance(new, one)
 
 
 def test_the_fold_says_it_and_learns_on() -> None:
@@ -195,11 +198,14 @@ def test_the_fold_says_it_and_learns_on() -> None:
     drive.factor *= 0.95
     drive.drive(10.0)
     state = fold.initial(MACHINE)
-    state.watch.wheel_speed = drive.state
-    assert [names for names, _ in watch.found_now(state.watch)] == [[WHEEL_SPEED]]
-    assert watch.contradictions(state.watch) == {} and watch.left_out(state.watch) == frozenset()
-    accepted = watch.proposal(state.watch, MACHINE, WHEEL_SPEED, 9)
+    state.diagnosis.watch.wheel_speed = drive.state
+    assert [one.of for one in watch.found_now(state.diagnosis.watch)] == [(WHEEL_SPEED,)]
+    assert not watch.contradictions(state.diagnosis.watch) and not watch.left_out(state.diagnosis.watch)
+    accepted = watch.proposal(state.diagnosis.watch, MACHINE, WHEEL_SPEED, 9)
     assert accepted is not None
     (event,) = [one.value for one in fold.accept(state, accepted)]
     assert "tractor.wheel_speed_factor" in str(event)
-    assert watch.found_now(state.watch) == [] and state.aligner.machine.tractor.wheel_speed_factor is not None
+    assert (
+        watch.found_now(state.diagnosis.watch) == []
+        and state.aligner.machine.tractor.wheel_speed_factor is not None
+    )

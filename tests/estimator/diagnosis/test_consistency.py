@@ -12,13 +12,15 @@ from circle import demo_machine
 from estimation_study import STEPS
 
 from tilth.estimator import fold
-from tilth.estimator.filters import unknowns
-from tilth.estimator.methods import consistency, open_tracker
-from tilth.estimator.methods.consistency import CONTRADICTION, Finding
-from tilth.estimator.methods.findings import KEYS
-from tilth.estimator.methods.tracker import TrackerState
+from tilth.estimator.diagnosis import consistency, open_numbers
+from tilth.estimator.diagnosis.consistency import CONTRADICTION, Consistency
+from tilth.estimator.diagnosis.open_numbers import OpenEvidence
+from tilth.estimator.methods import open_tracker
 from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.rig.lifecycle import FaultCase
+from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.decode import Decoder
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import (
     Attitude,
     Estimate,
@@ -90,7 +92,7 @@ def contradictions(out: list[Publication]) -> list[str]:
 
 def test_a_right_file_is_confirmed_and_raises_nothing() -> None:
     state, out = run(demo_machine(), frames())
-    assert state.consistency.confirmed and contradictions(out) == []
+    assert state.diagnosis.consistency.confirmed and contradictions(out) == []
     truth = draw(demo_machine(), 2, RANDOM)
     last = state.estimates["recommended"]
     assert sum(p.status is Status.ESTIMATED for p in last.parameters) >= 5
@@ -103,9 +105,9 @@ def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
     """Three steps of 30 s, as the dissertation ran them: for most of them the wheels are held."""
     heard = list(simulate(demo_machine(), 2, THREE_STEPS.seconds, THREE_STEPS))
     state, out = run(demo_machine(), heard)
-    assert state.consistency.confirmed and contradictions(out) == []
-    assert state.consistency.open.refused[Code.HELD] > 300
-    misfit = open_tracker.misfit(state.consistency.open, demo_machine())
+    assert state.diagnosis.consistency.confirmed and contradictions(out) == []
+    assert state.open.tracker.refused[Code.HELD] > 300
+    misfit = open_tracker.misfit(state.open.tracker, demo_machine())
     assert misfit.by_name.max() < 6.0 and misfit.total < 15.0  # 12 and 30 where it learned all the time
     first, *_, last = (t_ns for t_ns, _ in given(out))
     assert first < heard[0].t_ns + 60e9 and last > heard[-1].t_ns - 2e9
@@ -113,15 +115,15 @@ def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
 
 def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -> None:
     state, out = run(demo_machine(), frames(LONG))
-    assert state.consistency.confirmed and contradictions(out) == []
-    misfit = open_tracker.misfit(state.consistency.open, demo_machine())
+    assert state.diagnosis.consistency.confirmed and contradictions(out) == []
+    misfit = open_tracker.misfit(state.open.tracker, demo_machine())
     assert misfit.by_name.max() < 8.0 and misfit.total < 20.0  # else 188 and 371
     assert list(given(out))[-1][0] > frames(LONG)[-1].t_ns - 2e9
 
 
 def test_no_number_before_a_gross_error_would_have_shown() -> None:
     state, out = run(demo_machine(), frames()[: len(frames()) // 8])
-    assert not state.consistency.confirmed and not list(given(out))
+    assert not state.diagnosis.consistency.confirmed and not list(given(out))
     reasons = {sentence(e.value.parameters[0].reason) for e in out if isinstance(e.value, Estimate)}
     assert any("steer" in reason or "yet" in reason for reason in reasons)
 
@@ -204,7 +206,7 @@ def estimate_of(values: tuple[float, ...]) -> Estimate:
 @pytest.mark.parametrize("coefficient", [0.01, 0.29, 0.31, 5.0, 39.0, 41.0, 1000.0])
 def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
     machine = demo_machine()
-    state = consistency.initial(machine)
+    state = Consistency()
     state.confirmed = True
     loads = static_loads(rig_of(machine))
     fine = [5.0 * load for load in loads]
@@ -217,22 +219,24 @@ def test_a_stiffness_that_no_tyre_has_is_not_given(coefficient: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "known"),
-    [
-        ("receiver.position on the tractor", True),  # by standing, before the watch knows which one
-        ("receiver.tractor_front.position", True),
-        ("receiver.tractor_front.roll_corrected", False),
-        ("wheel_angle.scale or gain", False),
+    ("one", "known"),
+    [  # by standing, before the watch knows which one
+        (Diagnosis(Code.OFF_WHERE_PARKED, "receiver.position on the tractor", (), ("longer_t",)), True),
+        (Diagnosis(Code.RECEIVER_NOT_THERE, "receiver.x.position", (), ("forward_tractor_front",)), True),
+        (Diagnosis(Code.NOT_CORRECTED, "receiver.tractor_front.roll_corrected"), False),
+        (Diagnosis(Code.WHEEL_SCALE, "wheel_angle.scale", (), ("wheel_gain",)), False),
     ],
+    ids=lambda value: getattr(value, "key", None),
 )
-def test_a_receiver_that_is_left_out_takes_along_what_was_found_of_its_place(key: str, known: bool) -> None:
-    machine = demo_machine()
-    state = consistency.initial(machine)
+def test_a_receiver_that_is_left_out_takes_along_what_was_found_of_its_place(
+    one: Diagnosis, known: bool
+) -> None:
+    state = Consistency()
     state.was_confirmed = True
-    state.findings[key] = Finding(key, f"{key}?", active=True)
-    consistency.left_out(state, machine)
+    state.cases[one.key] = FaultCase(replace(one, state=DiagnosisState.ISOLATED), one)
+    consistency.left_out(state)
     assert (state.confirmed, state.pairs_known) == (known, known)
-    assert not known or consistency.contradicted(state) == []
+    assert not known or consistency.contradictions(state) == []
 
 
 @pytest.mark.parametrize(
@@ -249,77 +253,35 @@ def test_a_method_that_leaves_the_file_says_how_far_in_people_s_units(
     name: str, off: float, words: str
 ) -> None:
     machine = demo_machine()
-    state = consistency.initial(machine)
+    state = Consistency()
     loads = static_loads(rig_of(machine))
     given = estimate_of((*(5.0 * load for load in loads), 1.0, 1.0, 1.0))
     consistency.check_estimate(state, machine, replace(given, nuisances={name: (off, 0.02)}))
-    (text,) = state.methods["pem"].values()
-    assert f"pem finds {words}" in text and text.endswith(f"{KEYS[name]}?")
-
-
-@pytest.mark.parametrize("name", open_tracker.GROSS)
-@pytest.mark.parametrize(("sds_off", "sds_to_gross", "known"), [(0.0, 2.5, True), (0.0, 2.2, False),
-    (1.0, 3.4, True), (1.0, 3.2, False), (3.0, 5.0, False)])  # fmt: skip
-def test_a_file_is_confirmed_when_its_gross_errors_can_be_ruled_out(
-    name: str, sds_off: float, sds_to_gross: float, known: bool
-) -> None:
-    machine, n = demo_machine(), len(open_tracker.NAMES)
-    size = math.log1p(1.0 / machine.tractor.a.value) if name == "a" else math.log(2.0)
-    k, alone, by_name = open_tracker.NAMES.index(name), np.full(n, 0.01), np.zeros(n)
-    alone[k], by_name[k] = size / sds_to_gross, sds_off**2
-    now = open_tracker.Misfit(0.0, by_name, np.zeros(n), np.full(n, 0.01), alone)
-    assert open_tracker.unconfirmed(now, machine) == ([] if known else [name])
-
-
-def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
-    """As it came out in fields with headland turns, with right files. Five times the mass would be one."""
-    machine = demo_machine()
-    state = open_tracker.initial(machine)
-    m_i = unknowns.AT["m_i"]
-    state.covariance[m_i, m_i] = 0.22**2
-    for off, doubted in ((-0.9, False), (math.log(0.2), True)):
-        state.mean[m_i] = state.prior_mean[m_i] + off
-        now = open_tracker.misfit(state, machine)
-        assert (now.by_name.max() > consistency.ENDS * consistency.BEGINS) == doubted
-    assert not state.by_steering
-
-
-def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
-    machine = demo_machine()
-    state = open_tracker.initial(machine)
-    now = open_tracker.misfit(state, machine)
-    assert now.total == 0.0 and not now.by_name.any()
-    assert set(open_tracker.unconfirmed(now, machine)) == set(open_tracker.CONFIRMING_SD)
-    narrow = open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_SD.values()))
-    assert [name for name, so in zip(open_tracker.NAMES, narrow, strict=True) if not so] == ["m_i"]
+    (found,) = state.methods["pem"]
+    text = sentence(found.reason)
+    assert f"pem finds {words}" in text and text.endswith(f"{NUMBER[name].key}?")
 
 
 @pytest.mark.parametrize("uneven", [0.005, 0.012])
 def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
-    uneven: float, monkeypatch: pytest.MonkeyPatch
+    uneven: float,
 ) -> None:
     """There it may have diverged: it begins again each time, and agrees with any file for a while; the
     file does not stay confirmed for that."""
     machine = demo_machine()
     state, out = run(machine, frames())
     pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
-    n, begun, poses = len(open_tracker.NAMES), list[TrackerState](), list[int]()
-    far = open_tracker.Misfit(1e3, np.full(n, 1e3), np.ones(n), np.full(n, 0.1), np.full(n, 0.1))
+    n, poses = len(open_numbers.NAMES), 0
+    far = open_numbers.Misfit(1e3, np.full(n, 1e3), np.ones(n), np.full(n, 0.1), np.full(n, 0.1))
     near = far._replace(total=0.0, by_name=np.zeros(n), off=np.zeros(n))
 
-    def misfit(tracker: TrackerState, machine: Machine) -> open_tracker.Misfit:
-        if not begun or begun[-1] is not tracker:
-            begun.append(tracker)
-            poses.clear()
-        poses.append(1)
-        return far if len(poses) > 20 else near
-
-    monkeypatch.setattr(open_tracker, "misfit", misfit)
-    checks, events = state.consistency, list[tuple[str, str]]()
-    checks.confirmed = True
+    checks, accused = state.diagnosis.consistency, list[str]()
+    checks.confirmed = checks.rates_known = True
     for _ in range(200):  # poses, 40 s
-        checks.learned, checks.rates_known, checks.open.disturbance[3] = 100, True, uneven**2
-        events += consistency.observe(checks, machine, state.aligner, state.checks, pose, None, {})
-    accused = [kind for kind, _ in events]
+        poses += 1
+        evidence = OpenEvidence(far if poses > 20 else near, near, 100, 0.0, uneven > open_tracker.ROUGH)
+        done = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
+        accused += [kind for kind, _ in done.events]
+        poses = 0 if done.reset_open else poses
     assert accused == ([CONTRADICTION] if uneven < open_tracker.ROUGH else [])
     assert not checks.confirmed

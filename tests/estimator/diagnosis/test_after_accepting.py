@@ -15,12 +15,12 @@ from circle import demo_machine
 from numpy.typing import NDArray
 
 from tilth.estimator import fold
+from tilth.estimator.diagnosis.accepted import corrected
 from tilth.estimator.methods.estimators import rows_for
+from tilth.estimator.rig.numbers import DRAWBAR, PAIRS, WHEEL
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import to_json_data
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.estimator.watch.accepted import corrected
-from tilth.estimator.watch.hypotheses import DRAWBAR, PAIRS, WHEEL
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Accepted, Estimate, Event, Frame, Status
 from tilth.schemas.machine import Machine
@@ -145,7 +145,7 @@ def test_all_that_is_learned_begins_from_the_file_with_the_value(name: str) -> N
     fold.accept(state, said)
     now = corrected(MACHINE, [said])
     for again in (state, restore(MACHINE, snapshot(state))):
-        assert again.machine == now and again.record.knots == [] and not again.consistency.confirmed
+        assert again.machine == now and again.record.knots == [] and not again.diagnosis.consistency.confirmed
         for row in rows_for(now):
             assert to_json_data(again.estimators[row.method]) == to_json_data(row.initial(now))
     kept = state.aligner.latency.tau.tolist() == latencies

@@ -3,15 +3,16 @@
 import pytest
 from circle import demo_machine
 
-from tilth.estimator.methods import findings
+from tilth.estimator.diagnosis import findings
 from tilth.estimator.pose import aligner
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
+from tilth.schemas.sentences import sentence
 
 PAIRS = ("receiver.position on the tractor", "receiver.position on the implement")
 
 
-def told(mount: Mount, **change: object) -> Machine:
+def otherwise(mount: Mount, **change: object) -> Machine:
     """The demo's machine file, in which one receiver is told otherwise."""
     machine = demo_machine()
     rows = [r.model_copy(update=change) if r.mount is mount else r for r in machine.receiver]
@@ -41,10 +42,10 @@ def test_a_pair_of_another_length_is_found_where_the_rig_stands(
     mount = FRONTS[body]
     (one,) = (r for r in demo_machine().receiver if r.mount is mount)
     forward, right, up = one.position
-    machine = told(mount, position=(forward, right, up + higher_m), survey_sd=survey_sd)
+    machine = otherwise(mount, position=(forward, right, up + higher_m), survey_sd=survey_sd)
     state = aligner.initial(machine)
-    for _ in range(findings.PARKED_POSES):
+    for _ in range(findings.PARAMETERS.parked_poses):
         state.long_term.parked[body].add(off_m)
-    text = findings.parked_errors(machine, state)
-    assert list(text) == ([PAIRS[body]] if found else [])
-    assert not found or f"{off_m:+.2f} m where the rig stands still" in text[PAIRS[body]]
+    told = findings.parked_errors(machine, state)
+    assert [one.key for one in told] == ([PAIRS[body]] if found else [])
+    assert all(f"{off_m:+.2f} m where the rig stands still" in sentence(one.reason) for one in told)

@@ -1,0 +1,310 @@
+"""Do the data contradict the machine file? While they do, no estimate is published.
+
+Each check compares the data with one part of the file: positions of receivers, their roll correction, the
+wheel angle against the yaw rate; and, by the open tracker (methods/open_tracker.py), lengths, wheel angle,
+latency and inertias. A failed check names the key of the file (findings.py). Before the driving was such that
+a gross error would have shown, no estimate is published either: a wrong file must never lead to a number.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from tilth.estimator.diagnosis import findings, open_numbers
+from tilth.estimator.diagnosis.directive import Directive
+from tilth.estimator.diagnosis.open_numbers import NAMES, OpenEvidence
+from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
+from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.motion_check import MotionCheck
+from tilth.estimator.pose.receiver_checks import ReceiverChecks
+from tilth.estimator.pose.wheel_check import WheelCheck
+from tilth.estimator.rig.lifecycle import FaultCase, Persistence
+from tilth.estimator.rig.numbers import NUMBER
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
+from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
+from tilth.schemas.machine import Machine
+from tilth.schemas.notices import found as found_notice
+from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.sentences import contradiction_event, sentence
+
+CONTRADICTION: Final = FlagKind.CONTRADICTION
+
+
+@dataclass(frozen=True, slots=True)
+class ConsistencyParameters:
+    """When a file is contradicted, and when it is confirmed. A pose is 0.2 s."""
+
+    begins: float = 22.0  # chi-square of one open number, with all others within what the file allows
+    begins_total: float = 90.0  # chi-square of all open numbers
+    ends: float = 0.4  # factor on these limits for the end of a contradiction
+    poses_to_confirm: int = 40  # in a row without doubt before the file counts as confirmed
+    poses_to_doubt: int = 60  # in a row with doubt before it is not confirmed any more
+    least_poses: int = 5  # in a row before a finding is isolated
+    least_poses_open: int = 40  # the same of the open tracker: for seconds, other soil has the same effect
+    poses_to_end: int = 50  # in a row without a finding before it ends
+    poses_to_forget: int = 25  # what was learned during a longer contradiction is discarded
+    rival_share: float = 0.6  # an explanation with this share of the best one's chi-square is named as well
+    rivals: int = 2  # that are named
+    outlier_share: float = 0.25  # largest share of outliers among what the open tracker has taken lately
+    least_segments: int = 40  # from which the open tracker has learned before it is used
+    nuisance_sds: float = 6.0  # by which a nuisance of a method may differ from a right file
+
+
+PARAMETERS: Final = ConsistencyParameters()
+NOT_DRIVEN: Final = Reason(Code.NOT_DRIVEN)
+BY_METHOD: Final = frozenset({Code.METHOD_FINDS, Code.NO_TYRE})
+"""Found in a method's estimate: learning goes on, so that it can end."""
+OF_OPEN_NUMBERS: Final = frozenset({Code.DRIVING_FINDS, Code.METHOD_FINDS})
+
+
+@dataclass(slots=True)
+class Consistency:
+    """State of all checks."""
+
+    wheel: WheelCheck = field(default_factory=WheelCheck)
+    motion: MotionCheck = field(default_factory=MotionCheck)
+    cases: dict[str, FaultCase] = field(default_factory=dict)  # by key
+    confirmed: bool = False
+    was_confirmed: bool = False  # at some time of this run
+    pairs_known: bool = (
+        False  # it was, and since then a receiver is left out: one alone shows no yaw of a pair
+    )
+    missing: Reason = NOT_DRIVEN  # why the file is not confirmed
+    agrees: Persistence = field(default_factory=Persistence)  # poses in which the open tracker does
+    rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
+    methods: dict[str, list[Diagnosis]] = field(default_factory=dict)  # of their latest estimates
+    # after its first finding the open tracker was restarted; the next one counts
+    open_restarted: bool = False
+    sensor_fault: Code | None = None  # of a sensor that all numbers rest on
+
+
+def observe(
+    state: Consistency, aligner: Aligner, checks: ReceiverChecks, pose: Pose, moved: Iterable[Diagnosis],
+    evidence: OpenEvidence,
+) -> Directive:  # fmt: skip
+    """Take one pose. moved: what the watch has found moved. evidence: of the open tracker."""
+    machine = aligner.machine
+    wheel_check.observe(state.wheel, machine, pose)
+    motion_check.observe(state.motion, pose)
+    state.was_confirmed |= state.confirmed
+    state.rates_known |= receiver_checks.turn_rates_known(checks)
+    found = _by_key(moved) or _found_at_pose(state, aligner, checks, pose, evidence)
+    by_method = _by_key(one for wrong in state.methods.values() for one in wrong)
+    if found and not any(key in state.cases for key in by_method):
+        by_method = {}  # a consequence of what the other checks have found
+    return _update(state, machine, {**found, **by_method}, evidence, pose.t_ns)
+
+
+def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
+    """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
+    found = findings.implausible_stiffness(machine, estimate)
+    limits = dict(zip(NAMES, PARAMETERS.nuisance_sds * open_numbers.allowed(machine), strict=True))
+    for name, (value, sd) in estimate.nuisances.items():
+        if abs(value) > limits.get(name, math.inf):
+            of = (name, estimate.method)
+            found.append(Diagnosis(Code.METHOD_FINDS, NUMBER[name].key, of, (name,), (value,), (sd,)))
+    state.methods[estimate.method] = found
+
+
+def contradictions(state: Consistency) -> list[Diagnosis]:
+    """Why no estimate may be published; none without a contradiction."""
+    return [case.diagnosis for case in state.cases.values() if case.isolated]
+
+
+def stops_learning(state: Consistency) -> bool:
+    """Whether nothing may be learned from the present measurements."""
+    return any(case.isolated and case.latest.code not in BY_METHOD for case in state.cases.values())
+
+
+def flags(state: Consistency) -> list[Flag]:
+    """One flag for each key that is contradicted now."""
+    return [Flag(CONTRADICTION, one.key) for one in contradictions(state)]
+
+
+def withheld(state: Consistency, estimate: Estimate) -> Estimate:
+    """The estimate as it may be published: no numbers while the file is contradicted or not confirmed."""
+    if state.sensor_fault is not None:
+        return _without_numbers(estimate, Status.INVALID, Reason(state.sensor_fault))
+    if why := contradictions(state) or state.methods.get(estimate.method, []):
+        reason = Reason(Code.CONTRADICTED, because=tuple(one.reason for one in why))
+        return _without_numbers(estimate, Status.INVALID, reason)
+    if not state.confirmed:
+        return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
+    return estimate
+
+
+def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
+    usable = (Status.ESTIMATED, Status.STALE)
+    if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
+        return estimate  # it has no numbers, and its own reasons
+    parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
+    return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
+
+
+def sensor_failed(state: Consistency, fault: Code | None, seen_at_once: bool) -> Directive:
+    """A sensor that all numbers rest on has failed, or works again (None). seen_at_once: nothing was learned
+    with its wrong readings."""
+    begins = fault is not None and state.sensor_fault is None
+    state.sensor_fault = fault
+    learned = begins and not seen_at_once
+    if learned:
+        state.wheel = WheelCheck()
+    return Directive(reset=learned, reset_open=learned)
+
+
+def discard_findings(state: Consistency, confirmed: bool = False) -> None:
+    """Discard what was found with wrong measurements. confirmed: whether the rest of the file is."""
+    state.cases = {
+        key: case for key, case in state.cases.items() if case.latest.code not in OF_OPEN_NUMBERS
+    }  # fmt: skip
+    state.methods, state.confirmed = {}, confirmed
+
+
+def left_out(state: Consistency) -> None:
+    """Something was moved and is not used from here on: all else of the file is as it was confirmed. That a
+    receiver is not in its place was found of just that, perhaps sooner."""
+    state.cases = {key: case for key, case in state.cases.items() if not _of_a_place(case.latest)}
+    state.pairs_known = state.was_confirmed and not contradictions(state)
+    discard_findings(state, state.pairs_known)
+    state.agrees = Persistence()
+
+
+def _of_a_place(one: Diagnosis) -> bool:
+    return bool(one.numbers) and NUMBER[one.numbers[0]].place
+
+
+def _by_key(found: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
+    return {one.key: one for one in found}
+
+
+# The findings of one pose.
+
+
+def _found_at_pose(
+    state: Consistency, aligner: Aligner, checks: ReceiverChecks, pose: Pose, evidence: OpenEvidence
+) -> dict[str, Diagnosis]:
+    machine = aligner.machine
+    found = [
+        *findings.misplaced_receivers(pose), *findings.parked_errors(machine, aligner),
+        *findings.latencies(machine, aligner), *findings.wrong_rolls(checks),
+        *motion_check.found(state.motion),
+    ]  # fmt: skip
+    wheel = wheel_check.verdict(state.wheel)
+    if wheel is not None:
+        found.append(wheel)
+    elif not found and state.rates_known:
+        found = _by_driving(state, evidence) or _rejected(evidence)
+    return _by_key(found)
+
+
+def _by_driving(state: Consistency, evidence: OpenEvidence) -> list[Diagnosis]:
+    """What the open tracker finds."""
+    if evidence.learned < PARAMETERS.least_segments:
+        return []
+    misfit = evidence.misfit
+    decided = [one for one in contradictions(state) if one.code is Code.DRIVING_FINDS]
+    best = float(misfit.by_name.max())
+    if _fits(evidence, PARAMETERS.ends if decided else 1.0):
+        return []
+    if decided:  # it keeps its key for as long as it lasts
+        return decided
+    order = np.argsort(-misfit.by_name)
+    names = [NAMES[k] for k in order if misfit.by_name[k] >= PARAMETERS.rival_share * best]
+    names = names[: PARAMETERS.rivals + 1]
+    keys, k = [NUMBER[name].key for name in names], order[0]
+    of, off, sd = (names[0], *keys[1:]), float(misfit.off[k]), float(misfit.sd[k])
+    return [Diagnosis(Code.DRIVING_FINDS, keys[0], of, tuple(names), (off,), (sd,))]
+
+
+def _fits(evidence: OpenEvidence, share: float) -> bool:
+    """Whether what the open tracker finds is within a share of the limits."""
+    misfit = evidence.misfit
+    return bool(
+        float(misfit.by_name.max()) < share * PARAMETERS.begins
+        and misfit.total < share * PARAMETERS.begins_total
+    )
+
+
+def _rejected(evidence: OpenEvidence) -> list[Diagnosis]:
+    """Whether many of the recent measurements are outliers of the open tracker."""
+    if evidence.rejected < PARAMETERS.outlier_share:
+        return []
+    return [Diagnosis(Code.MOST_REJECTED, "receiver", amounts=(evidence.rejected,))]
+
+
+# The findings over time.
+
+
+def _update(
+    state: Consistency, machine: Machine, found: Mapping[str, Diagnosis], evidence: OpenEvidence, t_ns: int
+) -> Directive:
+    """Update the cases with the findings of one pose."""
+    directive = Directive()
+    for key, one in found.items():
+        case = state.cases.setdefault(key, FaultCase(replace(one, since_ns=t_ns), one))
+        opened = one.code is Code.DRIVING_FINDS
+        if not case.found(one, PARAMETERS.least_poses_open if opened else PARAMETERS.least_poses):
+            continue
+        if opened and (not state.open_restarted or evidence.rough):
+            evidence = _restart_open(state, directive, evidence)
+            del state.cases[key]
+            continue
+        state.confirmed = False
+        told = contradiction_event(case.diagnosis, sentence(one.reason))
+        directive.events.append((CONTRADICTION, found_notice(told, one.reason)))
+    for key, case in list(state.cases.items()):
+        if key in found or not case.missing(PARAMETERS.poses_to_end):
+            continue
+        del state.cases[key]
+        if not case.isolated:
+            continue
+        over = replace(case.diagnosis, state=DiagnosisState.CLEARED)
+        directive.events.append((CONTRADICTION, found_notice(contradiction_event(over, ""), over.reason)))
+        if case.lasted - PARAMETERS.poses_to_end >= PARAMETERS.poses_to_forget:
+            directive.reset = True
+            if case.latest.code not in OF_OPEN_NUMBERS:  # it has learned of it as well
+                directive.reset_open, evidence = True, evidence.restarted()
+    if not contradictions(state):
+        _update_confirmation(state, machine, evidence)
+    directive.withhold = stops_learning(state)
+    return directive
+
+
+def _restart_open(state: Consistency, directive: Directive, evidence: OpenEvidence) -> OpenEvidence:
+    """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
+    twice, except on rough ground. There a file is not accused, but from the second time on it is not
+    confirmed either: a restarted one agrees with any file until it has learned."""
+    state.confirmed &= not state.open_restarted
+    state.open_restarted = directive.reset_open = True
+    return evidence.restarted()
+
+
+def _update_confirmation(state: Consistency, machine: Machine, evidence: OpenEvidence) -> None:
+    """Decide whether driving has confirmed the file; after a long doubt the confirmation is withdrawn."""
+    misfit, fits = evidence.misfit, _fits(evidence, PARAMETERS.ends)
+    state.agrees.look(fits)
+    if state.confirmed:
+        state.confirmed = state.agrees.absent < PARAMETERS.poses_to_doubt
+        state.missing = _doubt_reason(evidence)
+        return
+    known = open_numbers.OF_PAIRS if state.pairs_known else ()
+    unconfirmed_names = [name for name in open_numbers.unconfirmed(misfit, machine) if name not in known]
+    decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
+    long_enough = state.agrees.seen >= PARAMETERS.poses_to_confirm
+    long_enough &= evidence.learned >= PARAMETERS.least_segments
+    state.confirmed = not unconfirmed_names and long_enough and decided
+    state.open_restarted &= not state.confirmed
+    if not unconfirmed_names and not fits:
+        state.missing = _doubt_reason(evidence)
+        return
+    keys = tuple(NUMBER[name].key for name in unconfirmed_names[:2])
+    if not keys and not decided:
+        keys = ("turn rates and rolls",)
+    state.missing = Reason(Code.NOT_CONFIRMED, keys)
+
+
+def _doubt_reason(evidence: OpenEvidence) -> Reason:
+    return Reason(Code.DOUBTED, (NUMBER[NAMES[int(np.argmax(evidence.misfit.by_name))]].key,))

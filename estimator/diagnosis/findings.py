@@ -1,0 +1,108 @@
+"""What is wrong with a machine file at one instant.
+
+Whether it lasts long enough to withhold the estimates is decided in consistency.py.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.pose import latency, receiver_checks
+from tilth.estimator.pose.aligner import MOUNTS, Aligner
+from tilth.estimator.pose.plausibility import SURVEY_SDS, pair_limits
+from tilth.estimator.pose.receiver_checks import ReceiverChecks
+from tilth.estimator.rig.numbers import NUMBER
+from tilth.schemas.diagnosis import Diagnosis
+from tilth.schemas.flow import WITHOUT_RTK, Estimate, FlagKind, Pose, Status
+from tilth.schemas.machine import Machine
+from tilth.schemas.plausible import COEFFICIENT
+from tilth.schemas.reasons import Code
+
+
+@dataclass(frozen=True, slots=True)
+class FindingsParameters:
+    """When one instant shows something wrong."""
+
+    latency_chi_square: float = 30.0  # of up to three differences of latency
+    parked_limit: float = 0.2  # m, largest error of the hitch while the rig stands or creeps, or SURVEY_SDS
+    parked_poses: int = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
+
+
+PARAMETERS: Final = FindingsParameters()
+_OF_FLAG: Final = {
+    FlagKind.MOVED: (Code.RECEIVER_NOT_THERE, "position", ("forward", "right")),
+    FlagKind.SWAPPED: (Code.RECEIVER_EXCHANGED, "name", ()),
+    FlagKind.LATENCY: (Code.RECEIVER_AT_ANOTHER_TIME, "latency", ("latency", "forward")),
+}
+_PARKED: Final = (("longer_t",), ("longer_i",), ("c", "d"), ("aside_i", "aside_t"))
+_ROLL: Final = frozenset({receiver_checks.TWICE, receiver_checks.NOT, receiver_checks.UNCLEAR})
+_LATENCIES: Final = "receiver.position (forward), tractor.c, implement.d or receiver.latency"
+
+
+def misplaced_receivers(pose: Pose) -> list[Diagnosis]:
+    """From the flags of a pose: receivers that are misplaced, swapped or late, if all have RTK."""
+    if any(flag.kind in WITHOUT_RTK for flag in pose.flags):
+        return []
+    found = []
+    for flag in pose.flags:
+        if flag.kind in _OF_FLAG:
+            code, key, numbers = _OF_FLAG[flag.kind]
+            names = tuple(f"{number}_{flag.of}" for number in numbers)
+            found.append(Diagnosis(code, f"receiver.{flag.of}.{key}", (flag.of,), names))
+    return found
+
+
+def wrong_rolls(checks: ReceiverChecks) -> list[Diagnosis]:
+    """Receivers whose roll_corrected is not as the file says."""
+    return [
+        receiver_checks.diagnosis(checks, flag)
+        for flag in receiver_checks.flags(checks)
+        if flag.kind in _ROLL
+    ]
+
+
+def parked_errors(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
+    """From distances while the rig stands or creeps, when latency has no effect on them."""
+    sds = (machine.tractor.c.sd, machine.implement.d.sd, *(r.survey_sd for r in machine.receiver))
+    hitch = max(PARAMETERS.parked_limit, SURVEY_SDS * math.hypot(*sds))
+    limits = (*pair_limits(machine), hitch, hitch)
+    return [
+        Diagnosis(
+            Code.OFF_WHERE_PARKED, " or ".join(dict.fromkeys(NUMBER[name].key for name in names)),
+            names[:1], names, (float(mean.value),),
+        )
+        for names, limit, mean in zip(_PARKED, limits, aligner.long_term.parked, strict=True)
+        if mean.count >= PARAMETERS.parked_poses and abs(mean.value) > limit
+    ]  # fmt: skip
+
+
+def latencies(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
+    """Whether the latencies that would explain the distances are implausibly different."""
+    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
+    present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
+    if len(present) < 2:
+        return []
+    prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
+    differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
+    off = differences @ aligner.latency.tau[present]
+    covariance = differences @ prior[np.ix_(present, present)] @ differences.T
+    if float(off @ np.linalg.solve(covariance, off)) < PARAMETERS.latency_chi_square:
+        return []
+    return [
+        Diagnosis(Code.NO_LIKELY_LATENCY, _LATENCIES, numbers=("lever_t", "lever_i", "c", "d", "latency"))
+    ]
+
+
+def implausible_stiffness(machine: Machine, estimate: Estimate) -> list[Diagnosis]:
+    """Whether an estimated stiffness is impossible for a tyre with that static load."""
+    loads = static_loads(rig_of(machine))
+    for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
+        if given.value is None or given.status is not Status.ESTIMATED:
+            continue
+        share = float(given.value / load)
+        if not COEFFICIENT[0] <= share <= COEFFICIENT[1]:
+            return [Diagnosis(Code.NO_TYRE, "masses, lengths or wheel_angle", (name,), amounts=(share,))]
+    return []

@@ -1,0 +1,71 @@
+"""The whole state of the fold."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
+from tilth.estimator.methods.open_tracker import OpenTracker
+from tilth.estimator.pose.aligner import Aligner
+from tilth.estimator.pose.log_time import LogTime
+from tilth.estimator.pose.recognition import Recognition
+from tilth.estimator.record.record import Segment
+from tilth.estimator.record.record_builder import RecordState
+from tilth.estimator.state_json import NOT_STORED
+from tilth.estimator.warm_start import SavedPosterior
+from tilth.schemas.decode import Decoder
+from tilth.schemas.flow import Accepted, Estimate, Flag
+from tilth.schemas.machine import Machine
+from tilth.schemas.rejections import Rejection
+
+
+@dataclass(slots=True)
+class State:
+    """The whole state of the fold. `step` changes it in place; nothing else does."""
+
+    machine: Machine = field(metadata=NOT_STORED)
+    decoder: Decoder = field(metadata=NOT_STORED)  # but in a form of its own
+    aligner: Aligner
+    record: RecordState
+    open: OpenTracker  # whose evidence the diagnosis weighs
+    estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
+    diagnosis: RigDiagnosis = field(default_factory=RigDiagnosis)  # is the machine file right
+    accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
+    previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
+    """Method -> what the run before had learned, from which this run has started."""
+    previous_run_ns: int = 0  # when that run had saved them
+    frames: int = 0
+    measurements: int = 0
+    poses: int = 0
+    ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
+    clock_steps: int = 0
+    not_numbers: int = 0  # measurements refused because a value is not finite
+    time: LogTime = field(default_factory=LogTime)  # of the log
+    recognition: Recognition = field(default_factory=Recognition)  # of receivers that claim no address
+    flags: tuple[Flag, ...] = ()  # of the last pose
+    flag_times: dict[str, int] = field(default_factory=dict)  # flag -> how often it has begun, of OFTEN
+    place: tuple[float, float, float, float] | None = None
+    """At the last pose: latitude and longitude of the origin, deg, and x and y of the tractor, m."""
+    disagree: bool = False  # whether the methods disagree
+    segments: list[Segment | None] = field(default_factory=list, metadata=NOT_STORED)
+    """What each pose of the last frame completed; for who analyses a drive afterwards."""
+    estimates: dict[str, Estimate] = field(default_factory=dict, metadata=NOT_STORED)
+    """Method -> latest estimate, as published."""
+
+    @property
+    def latest_ns(self) -> int:
+        """Greatest t_ns since the last step back of the log's clock."""
+        return self.time.latest_ns
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Reason -> count, of frames and measurements that were not used."""
+        counts = self.decoder.rejected | self.aligner.screens.rejected
+        if self.aligner.lateness.late:
+            counts[Rejection.LATE] = self.aligner.lateness.late
+        if self.clock_steps:
+            counts[Rejection.CLOCK_STEP] = self.clock_steps
+        if self.time.stray:
+            counts[Rejection.OTHER_TIME] = self.time.stray
+        if self.not_numbers:
+            counts[Rejection.NOT_A_NUMBER] = self.not_numbers
+        return counts

@@ -1,0 +1,172 @@
+"""Words of what is wrong with a machine file, or has been moved (`schemas/diagnosis.py`)."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
+from tilth.schemas.reasons import Code
+from tilth.schemas.spread import interval, plus_minus
+
+Words = Callable[[Sequence[str], Sequence[float]], str]
+"""(of, numbers) of a reason."""
+
+PARKED: Final[Mapping[str, str]] = {
+    "longer_t": "length of the tractor's pair", "longer_i": "length of the implement's pair",
+    "c": "hitch, along", "aside_i": "hitch, across",
+}  # fmt: skip
+FOUND: Final[Mapping[str, tuple[str, str]]] = {
+    "wheel_zero": ("the wheels' zero off by {}", "°"), "pair_t": ("the pair on the tractor off by {}", "°"),
+    "pair_i": ("the pair on the implement off by {}", "°"),
+    "latency": ("a latency of {} beyond the file's", "s"),
+    "aside_i": ("the implement's receivers off by {}", "m"), "e": ("the implement's axle off by {}", "m"),
+}  # fmt: skip
+"""Number of the rig -> how far it is from the file, unit. Of the others a share is said."""
+DEGREES: Final = (20.0, 160.0)  # factors near 57.3: degrees and radians were confused
+LARGEST: Final = 5.0  # of a logarithm, in words
+
+
+def _measured(n: Sequence[float], k: int, unit: str = "") -> str:
+    """The k-th of n, of which the second half are sds."""
+    value, sd = n[k], n[k + len(n) // 2]
+    if unit == "°":
+        value, sd = math.degrees(value), math.degrees(sd)
+    return plus_minus(value, sd, unit)
+
+
+def _parked(of: Sequence[str], n: Sequence[float]) -> str:
+    what = PARKED.get(of[1], of[1])
+    return f"{what} is off by {n[0]:+.2f} m where the rig stands still: {of[0]}?"
+
+
+def _wheel_scale(of: Sequence[str], n: Sequence[float]) -> str:
+    larger = max(n[0], 1.0 / max(n[0], 1e-3))
+    size = f"{n[0]:.2g} times" if n[0] >= 1.0 else f"1/{larger:.2g} of"
+    text = f"the wheels' angle is {size} what the yaw rate asks for: {of[0]}?"
+    return f"{text} (degrees per bit, not radians)" if DEGREES[0] < larger < DEGREES[1] else text
+
+
+def _by_driving(of: Sequence[str], n: Sequence[float]) -> str:
+    others = "".join(f", or {key}" for key in of[2:])
+    return f"driving finds {_how_far(of[0], of[1], n)}: {of[0]}{others}?"
+
+
+def _how_far(key: str, number: str, n: Sequence[float]) -> str:
+    if number in FOUND:
+        words, unit = FOUND[number]
+        return words.format(_measured(n, 0, unit))
+    low, high = interval(math.exp(min(n[0], LARGEST)), min(n[1], LARGEST))
+    what = "reading of the wheels' angle" if number == "wheel_gain" else key.partition(" or ")[0]
+    return f"{what} {low:.2f} to {high:.2f} times what the file says (95 %)"
+
+
+def _leans(value: str) -> Words:
+    return lambda of, n: (
+        f"{of[1]}: it moves with roll by {_measured(n, 0)} of its height: set roll_corrected = {value} in "
+        "the machine file"
+    )
+
+
+def _moved(words: Words) -> Words:
+    """With what else it may be."""
+    return lambda of, n: ", or it is ".join([words(of, n), *of[2:]])
+
+
+def _tyres(of: Sequence[str], n: Sequence[float]) -> str:
+    now, before, sd_now, sd_before = n[:4]
+    share = 100.0 * math.hypot(sd_now / now, sd_before / before)
+    return f"the tyres' radius has changed by {plus_minus(100.0 * (before / now - 1.0), share, '%')}: {of[0]}"
+
+
+DIAGNOSES: Final[Mapping[Code, Words]] = {
+    Code.RECEIVER_NOT_THERE: lambda of, n: (
+        f"{of[1]} is not where the machine file says: its position, or the lengths to the hitch?"
+    ),
+    Code.RECEIVER_EXCHANGED: lambda of, n: (
+        f"{of[1]} stands in another's place: are names or sources exchanged?"
+    ),
+    Code.RECEIVER_AT_ANOTHER_TIME: lambda of, n: (
+        f"{of[1]} seems to report at another time than the file allows: its latency or position?"
+    ),
+    Code.OFF_WHERE_PARKED: _parked,
+    Code.NO_LIKELY_LATENCY: lambda of, n: f"distances between the receivers fit no likely latency: {of[0]}?",
+    Code.WHEEL_MOVES_ALONE: lambda of, n: f"the wheels' angle moves, the tractor does not turn: {of[0]}?",
+    Code.WHEEL_OPPOSITE: lambda of, n: (
+        f"the wheels' angle answers the yaw rate with the opposite sign: {of[0]}?"
+    ),
+    Code.WHEEL_SCALE: _wheel_scale,
+    Code.WHEEL_UNRELATED: lambda of, n: (
+        f"the wheels' angle has nothing to do with the yaw rate: {of[0]} (id, bytes, delay)?"
+    ),
+    Code.FARTHER_THAN_SPEED: lambda of, n: (
+        f"the {of[1]} goes {n[0]:.2f} times as far as its receivers' speed says: {of[0]}?"
+    ),
+    Code.ROLL_FOLLOWS_TURNS: lambda of, n: (
+        f"the {of[1]}'s measured roll follows its turns by {math.degrees(n[0]):+.1f}° per m/s² of lateral "
+        f"acceleration, as no vehicle leans: {of[0]}?"
+    ),
+    Code.LEAN_APART: lambda of, n: (
+        f"tractor and implement lean apart by {math.degrees(n[0]):+.0f}° on average, on the same ground: "
+        f"{of[0]}?"
+    ),
+    Code.CORRECTED_TWICE: _leans("true"),
+    Code.NOT_CORRECTED: _leans("false"),
+    Code.ROLL_CORRECTION_UNCLEAR: lambda of, n: (
+        "the hitch moves with roll as if roll_corrected were wrong on the tractor or on the implement: "
+        "compare it with what their receivers are set to"
+    ),
+    Code.YAW_RATE_SMOOTHED: lambda of, n: (
+        f"{of[1]}: its turn rate lags by {_measured(n, 0, 's')} and is not used, and what was learned "
+        "with it is forgotten: turn its smoothing off"
+    ),
+    Code.DRIVING_FINDS: _by_driving,
+    Code.METHOD_FINDS: lambda of, n: f"{of[2]} finds {_how_far(of[0], of[1], n)}: {of[0]}?",
+    Code.MOST_REJECTED: lambda of, n: (
+        f"{100 * n[0]:.0f} % of what the receivers say fits no rig like this: receiver, tractor or implement?"
+    ),
+    Code.NO_TYRE: lambda of, n: (
+        f"a stiffness of {n[0]:.2g} times its load per rad is no tyre's ({of[1]}): {of[0]}?"
+    ),
+    Code.RECEIVER_MOVED: _moved(
+        lambda of, n: (
+            f"{of[1]} has been moved {_measured(n, 0, 'm')} forward and {_measured(n, 1, 'm')} to the right"
+        )
+    ),
+    Code.PAIR_TURNED: _moved(
+        lambda of, n: (
+            f"the pair on the {of[1].removeprefix('pair_')} has been turned by {_measured(n, 0, '°')}"
+        )
+    ),
+    Code.WHEEL_SLIPPED: _moved(
+        lambda of, n: f"the wheels' sensor has slipped by {_measured(n, 0, '°')}: {of[0]}"
+    ),
+    Code.DRAWBAR_CHANGED: _moved(
+        lambda of, n: f"the drawbar is {plus_minus(-n[0], n[len(n) // 2], 'm')} longer: {of[0]}"
+    ),
+    Code.TYRES_CHANGED: _tyres,
+}
+
+
+def contradiction_event(diagnosis: Diagnosis, text: str) -> str:
+    """That it begins, or ends. text: its sentence."""
+    if diagnosis.state is DiagnosisState.CLEARED:
+        return f"{diagnosis.key}: over; the data fit the machine file again"
+    stop = "" if text.endswith((".", "?", "!")) else "."
+    return f"{text}{stop} Until this is over no number is given"
+
+
+def moved_event(diagnosis: Diagnosis, text: str, t_ns: int) -> str:
+    """That it has been moved, or is back. text: its sentence; t_ns: now."""
+    if diagnosis.code is Code.TYRES_CHANGED:
+        if diagnosis.state is DiagnosisState.CLEARED:
+            return f"the tyres' radius is what it was before: {diagnosis.key}"
+        return f"{text}. No estimate uses it; accept it as it is now ({diagnosis.of[0]})"
+    if diagnosis.state is DiagnosisState.CLEARED:
+        return f"{diagnosis.of[0]} is where it was before, and is used again"
+    minutes = max(t_ns - diagnosis.since_ns, 0) * 1e-9 / 60.0
+    return f"{text}; {minutes:.0f} min ago. {accept_or_put_back(diagnosis)}"
+
+
+def accept_or_put_back(diagnosis: Diagnosis) -> str:
+    """What the operator is asked for."""
+    return f"It is not used: accept it as it is now ({' or '.join(diagnosis.of)}), or put it back"
