@@ -8,7 +8,14 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
-from tilth.estimator.calibration.stages import SIDES, TICK_S, StageFold, StageTally, there_and_back
+from tilth.estimator.calibration.stages import (
+    SIDES,
+    TICK_S,
+    StageFold,
+    StageTally,
+    TroubleKind,
+    there_and_back,
+)
 
 PARK_S: Final = 20.0
 STRAIGHT_M: Final = 150.0  # each way
@@ -155,8 +162,9 @@ def happening(state: StageFold) -> str:
     """What the driving of this instant is good for, or why for nothing: never empty."""
     if state.tick is None:
         return "Nothing has been measured yet."
-    if state.trouble:
-        return f"What is driven now does not count; {state.trouble}{_remedy(state.trouble)}."
+    if state.trouble is not None:
+        who = ", ".join(state.trouble.mounts).replace("_", " ")
+        return f"What is driven now does not count; {_TROUBLE[state.trouble.kind].format(who)}."
     stood = state.stood * TICK_S
     if stood > LONG_S and state.tally.parked * TICK_S >= PARK_S:
         return f"Standing for {stood:.0f} s: that tells nothing more. Drive what comes next."
@@ -166,9 +174,11 @@ def happening(state: StageFold) -> str:
     return "This driving counts for no stage; the numbers may learn from it all the same."
 
 
-def _remedy(trouble: str) -> str:
-    if trouble.startswith("without RTK"):
-        return ". Check the correction service, wait for it, then drive on"
-    if "wheel angle" in trouble:
-        return ". [wheel_angle] of the machine file fits no message; `tilth discover` lists candidates"
-    return ". Check power and plugs; or the machine file names other devices, `tilth discover` lists them"
+_TROUBLE: Final = {
+    TroubleKind.NOT_HEARD: "not heard: {}. Check power and plugs; or the machine file names other devices, "
+    "`tilth discover` lists them",
+    TroubleKind.WITHOUT_RTK: "without RTK fix: {}. Check the correction service, wait for it, then drive on",
+    TroubleKind.NO_WHEEL_ANGLE: "not heard: the wheel angle. [wheel_angle] of the machine file fits no "
+    "message; `tilth discover` lists candidates",
+}
+"""What is wrong, and what to do."""

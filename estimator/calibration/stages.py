@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,7 +51,19 @@ class StageTally:
     swings: int = 0  # of the implement from one side to the other
     weaved: list[int] = field(default_factory=lambda: [0, 0])  # instants, slowly and quickly
     moving: int = 0  # instants of driving with everything heard
-    refused: dict[str, int] = field(default_factory=dict)  # why instants did not count -> how many
+
+
+class TroubleKind(StrEnum):
+    NOT_HEARD = "not_heard"
+    WITHOUT_RTK = "without_rtk"
+    NO_WHEEL_ANGLE = "no_wheel_angle"
+
+
+class Trouble(NamedTuple):
+    """Why an instant does not count."""
+
+    kind: TroubleKind
+    mounts: tuple[str, ...] = ()
 
 
 class SeenNow(NamedTuple):
@@ -81,7 +94,7 @@ class StageFold:
     doing: str = ""  # the stage that the last instant counts for
     lately: str = ""  # the one that an instant counted for last
     lately_tick: int = 0  # and when
-    trouble: str = ""  # why it does not count, in words
+    trouble: Trouble | None = None  # why it does not count
     tally: StageTally = field(default_factory=StageTally)
     senders: HeardReceivers = field(default_factory=HeardReceivers)
 
@@ -143,9 +156,7 @@ def _count(state: StageFold) -> None:
     """The instant that has ended."""
     assert state.tick is not None
     state.doing, state.trouble = "", _trouble(state)
-    if state.trouble:
-        refused = state.tally.refused
-        refused[state.trouble] = refused.get(state.trouble, 0) + 1
+    if state.trouble is not None:
         _interrupt(state)
         return
     _count_seen(state, _seen(state))
@@ -176,32 +187,28 @@ def _count_seen(state: StageFold, now: SeenNow) -> None:
     _count_weaving(state, rate, speed)
 
 
-def _trouble(state: StageFold) -> str:
-    """Why nothing can be learned now, "" where it can."""
+def _trouble(state: StageFold) -> Trouble | None:
+    """Why nothing can be learned now, if it cannot."""
     assert state.tick is not None
     heard = (state.places, state.velocities)
     fresh = [all(_is_fresh(state.tick, table.get(mount)) for table in heard) for mount in MOUNTS]
     silent = [mount.value for mount, is_fresh in zip(MOUNTS, fresh, strict=True) if not is_fresh]
     if silent:
-        return f"not heard: {_listed(silent)}"
+        return Trouble(TroubleKind.NOT_HEARD, tuple(silent))
     without = [
         mount.value
         for mount in MOUNTS
         if mount in state.fixes and state.fixes[mount][1] is not FixType.RTK_FIXED
     ]
     if without:
-        return f"without RTK fix: {_listed(without)}"
+        return Trouble(TroubleKind.WITHOUT_RTK, tuple(without))
     if state.wheel_tick is None or state.tick - state.wheel_tick > OLD_TICKS:
-        return "not heard: the wheel angle"
-    return ""
+        return Trouble(TroubleKind.NO_WHEEL_ANGLE)
+    return None
 
 
 def _is_fresh(tick: int, row: tuple[int, float, float] | None) -> bool:
     return row is not None and tick - row[0] <= OLD_TICKS
-
-
-def _listed(mounts: Iterable[str]) -> str:
-    return ", ".join(mounts).replace("_", " ")
 
 
 def _seen(state: StageFold) -> SeenNow:
