@@ -200,10 +200,6 @@ def _is_fresh(tick: int, row: tuple[int, float, float] | None) -> bool:
     return row is not None and tick - row[0] <= OLD_TICKS
 
 
-def _listed(mounts: Iterable[str]) -> str:
-    return ", ".join(mounts).replace("_", " ")
-
-
 def _seen(state: StageFold) -> SeenNow:
     assert state.tick is not None
     if state.origin_deg is None:

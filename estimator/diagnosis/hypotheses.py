@@ -105,8 +105,7 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: InformationForm
 
     mean (N,), covariance (N, N): of the constants by samples before `now`, without drift.
     """
-    allowed = covariance + drift()
-    kept = np.linalg.inv(np.eye(N) + now.information @ allowed)
+    kept = _kept(covariance, now)
     score, weight = kept @ (now.vector - now.information @ mean), kept @ now.information
     found = []
     for hypothesis in hypotheses(machine):
@@ -116,3 +115,21 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: InformationForm
         amounts = spread @ along
         found.append(Explanation(hypothesis.name, float(along @ amounts), amounts, spread))
     return sorted(found, key=lambda explanation: -explanation.chi_square)
+
+
+def _kept(covariance: Array, now: InformationForm) -> Array:
+    """(N, N): what of new samples' information is left where the constants may drift."""
+    return _inverse(np.eye(N) + now.information @ (covariance + drift()))
+
+
+def isolability(machine: Machine, before: InformationForm, now: InformationForm) -> tuple[list[str], Array]:
+    """(numbers of the rig [n], angles (n, n)), degrees, between what faults do to the whitened residuals of
+    `now`, with the constants as well known as by `before`: 90 where they have nothing in common, near 0 where
+    samples hardly tell one from the other."""
+    _, covariance = posterior(before)
+    weight = _kept(covariance, now) @ now.information
+    names = [number for row in HYPOTHESES if row.name != WHEEL_SPEED for number in row.numbers]
+    d = np.hstack([hypothesis.directions for hypothesis in hypotheses(machine)])
+    inner = d.T @ weight @ d
+    sizes = np.sqrt(np.diag(inner))
+    return names, np.degrees(np.arccos(np.minimum(np.abs(inner / np.outer(sizes, sizes)), 1.0)))

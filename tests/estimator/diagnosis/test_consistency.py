@@ -12,8 +12,8 @@ from circle import demo_machine
 from estimation_study import STEPS
 
 from tilth.estimator import fold
-from tilth.estimator.diagnosis import consistency, open_numbers
-from tilth.estimator.diagnosis.consistency import CONTRADICTION, Consistency
+from tilth.estimator.diagnosis import consistency, findings, open_numbers
+from tilth.estimator.diagnosis.consistency import CONTRADICTION, PARAMETERS, Consistency
 from tilth.estimator.diagnosis.open_numbers import OpenEvidence
 from tilth.estimator.methods import open_tracker
 from tilth.estimator.models.parameters import rig_of, static_loads
@@ -260,6 +260,24 @@ def test_a_method_that_leaves_the_file_says_how_far_in_people_s_units(
     (found,) = state.methods["pem"]
     text = sentence(found.reason)
     assert f"pem finds {words}" in text and text.endswith(f"{NUMBER[name].key}?")
+
+
+@pytest.mark.parametrize("kind", range(4))
+def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kind: int) -> None:
+    """Also of a pair, whose key the open tracker has as well, which needs longer."""
+    state, out = run(demo_machine(), frames()[:4000])
+    pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
+    for _ in range(findings.PARAMETERS.parked_poses):
+        state.aligner.long_term.parked[kind].add(0.5)
+    evidence = open_tracker.observe(state.open, state.machine, None)
+    checks, told = state.diagnosis.consistency, list[str]()
+    for _ in range(PARAMETERS.least_poses):
+        assert not told
+        found = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
+        told += [text for _, text in found.events]
+    assert len(told) == 1 and "+0.50 m where the rig stands still" in told[0]
+    (one,) = consistency.contradictions(checks)
+    assert one.code is Code.OFF_WHERE_PARKED and one.amounts == (0.5,) and one.since_ns == pose.t_ns
 
 
 @pytest.mark.parametrize("uneven", [0.005, 0.012])
