@@ -272,3 +272,7 @@ def there_and_back(tally: StageTally, wanted: float) -> tuple[float, float]:
     best = int(np.argmax(np.minimum(there, wanted) + np.minimum(back, wanted)))
     ways = float(there[best]), float(back[best])
     return max(ways), min(ways)
+
+
+def _listed(mounts: list[str]) -> str:
+    return ", ".join(mounts).replace("_", " ")
