@@ -23,7 +23,7 @@ TICKS = 40
 
 def main(machine_file: str, names: list[str]) -> dict[str, list[list[float]]]:
     """What is printed."""
-    likelihood.run_filter = run_filter.interpreted()  # type: ignore[assignment]
+    likelihood.run_filter = run_filter.interpreted()  # type: ignore[assignment,attr-defined]
     machine = Machine.model_validate(tomllib.loads(Path(machine_file).read_text(encoding="utf-8")))
     setup, (mean, _) = rig_setup(machine), unknowns.prior(machine)
     ticks = np.zeros((TICKS, 8))
