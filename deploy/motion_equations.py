@@ -285,7 +285,7 @@ def _readings(given: dict[str, str], steps: Iterable[Any]) -> list[str]:
     return [f"    {symbol} = {where}" for symbol, where in given.items() if symbol in used]
 
 
-def _values(given: dict[str, str], outputs: dict[str, object]) -> list[str]:
+def _values(given: dict[str, str], outputs: dict[str, Any]) -> list[str]:
     """Lines that compute the outputs: target -> expression; 0 is left out."""
     wanted = {target: expression for target, expression in outputs.items() if expression != 0}
     shared, reduced = sp.cse(list(wanted.values()), symbols=sp.numbered_symbols("t"))
@@ -294,7 +294,7 @@ def _values(given: dict[str, str], outputs: dict[str, object]) -> list[str]:
     return lines + [f"    {target} = {_text(e)}" for target, e in zip(wanted, reduced, strict=True)]
 
 
-def _slopes(given: dict[str, str], outputs: dict[str, object], columns: list[Any]) -> list[str]:
+def _slopes(given: dict[str, str], outputs: dict[str, Any], columns: list[Any]) -> list[str]:
     """Lines that compute the derivatives of the outputs (row of an array -> expression) by the columns.
 
     Forward differentiation of the steps that give the values: each step's derivatives by what it is made of,
