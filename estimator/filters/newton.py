@@ -43,18 +43,23 @@ class Minimum(NamedTuple, Generic[At]):
 
 class Problem(Protocol[At]):
     """A cost in nats over a unknowns, as a search sees it. At: a point with all that is known there."""
+        ...
 
     def terms(self, at: At) -> tuple[At, Array, Array]:
         """(the point with its derivatives, gradient (a,), information (a, a))."""
+        ...
 
     def after(self, at: At, change: Array) -> At | None:
         """Where a change (a,) leads; None if the cost is not lower there."""
+        ...
 
     def taken(self, step: int, at: At) -> At:
         """The point after so many steps, as the search goes on from it."""
+        ...
 
     def settled(self, step: int, before: At, at: At, sizes: Array) -> bool:
         """Whether it may end there. sizes: (a,), of the last step, in posterior sds."""
+        ...
 
 
 class Rule(NamedTuple):
@@ -104,9 +109,8 @@ def share_of_step(k: int, most: int) -> float:
 
 
 def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]:
-    """The minimum of a problem's cost from a point on, by at most so many damped steps."""
-    assert most > 0
-    damping = FIRST_DAMPING
+    """The minimum of a problem's cost from a point on, by at most so many damped steps, one or more."""
+    damping, sizes, promised = FIRST_DAMPING, np.zeros(0), math.inf
     for step in range(1, most + 1):
         at, gradient, information = problem.terms(at)
         newton, sds = newton_step(gradient, information)
