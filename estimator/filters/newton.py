@@ -43,7 +43,6 @@ class Minimum(NamedTuple, Generic[At]):
 
 class Problem(Protocol[At]):
     """A cost in nats over a unknowns, as a search sees it. At: a point with all that is known there."""
-        ...
 
     def terms(self, at: At) -> tuple[At, Array, Array]:
         """(the point with its derivatives, gradient (a,), information (a, a))."""
