@@ -8,6 +8,7 @@ from typing import Final
 from tilth.schemas.flow import FlagKind
 from tilth.schemas.notices import NoticeCode
 from tilth.schemas.reasons import Code
+from tilth.schemas.sentences.diagnosis import DIAGNOSES
 from tilth.schemas.sentences.notices import NOTICES, values_of
 from tilth.schemas.sentences.reasons import SENTENCES
 from tilth.schemas.sentences.rejections import REJECTIONS
@@ -40,7 +41,7 @@ def text() -> str:
     """The page."""
     return (
         _HEAD
-        + _table("Reasons", _REASONS, ("code", "words"), _rows(SENTENCES))
+        + _table("Reasons", _REASONS, ("code", "words"), [*_rows(SENTENCES), *_diagnoses()])
         + _table("Notices", _NOTICES, ("code", "values", "words"), list(_notices()))
         + _table("Rejections", _REJECTIONS, ("code", "words"), _rows(REJECTIONS))
     )
@@ -48,6 +49,14 @@ def text() -> str:
 
 def _rows(words: Mapping[Code, str] | Mapping[str, str]) -> list[Sequence[str]]:
     return [(f"`{code}`", _blank(template)) for code, template in sorted(words.items())]
+
+
+def _diagnoses() -> list[Sequence[str]]:
+    """Of the machine file and of what has been moved; their words are made of the numbers."""
+    said = {code: words(("…",) * 3, (1.0,) * 4) for code, words in DIAGNOSES.items()}
+    return [
+        (f"`{code}`", re.sub(r"[-+]?\d+(\.\d+)?( ± \d+(\.\d+)?)?", "…", said[code])) for code in sorted(said)
+    ]
 
 
 def _blank(template: str) -> str:

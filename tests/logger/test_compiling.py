@@ -130,7 +130,7 @@ def nowhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
             (root / "tilth" / folder.name).symlink_to(folder.resolve())
     ours = root / "tilth" / "estimator"
     shutil.copytree(ROOT / "estimator", ours, ignore=shutil.ignore_patterns("__pycache__"))
-    for folder in (root, ours, *(room for room in ours.iterdir() if room.is_dir())):
+    for folder in (root, ours, *(room for room in ours.rglob("*") if room.is_dir())):
         (folder / "__pycache__").write_text("in the way")
     in_the_way = str(root / "__pycache__")
     return {

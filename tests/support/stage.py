@@ -257,7 +257,7 @@ def main() -> None:
             sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, "mark", in_words(noted.popleft()))))
         if orders["event"]:
             kind, orders["event"] = orders["event"], ""
-            sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, kind, orders["text"])))
+            sink.put("/event", CHANNEL["/event"].encode(Event(t_ns, kind, in_words(orders["text"]))))
         if turn % 10 == 0 or rate > 1:
             result = estimate(t_ns, t_s, scale, t_s - changed_s, orders["invalid"])
             sink.put("/soil_tire", CHANNEL["/soil_tire"].encode(result))

@@ -18,6 +18,7 @@ from tilth.logger.log import recovery
 from tilth.logger.log.mcap_file import HEAD, is_finished
 from tilth.logger.log.recovery import COPY, Damaged, NoLog, finish, finish_all, rescue, unfinished
 from tilth.schemas.flow import Frame
+from tilth.schemas.notices import Notice, NoticeCode, notice
 
 ROWS = some_frames(400)
 RNG = np.random.default_rng(5)
@@ -152,10 +153,10 @@ def test_a_cut_while_a_file_is_being_finished(cut_short: bytes, tmp_path: Path) 
     for at in RNG.integers(0, len(done), 5).tolist():
         path.write_bytes(cut_short[:size])
         copy.write_bytes(done[:at])
-        said: list[tuple[str, str]] = []
+        said: list[tuple[str, Notice]] = []
         finish_all(tmp_path, lambda *event, said=said: said.append(event))
         assert path.read_bytes() == done and sorted(tmp_path.iterdir()) == [path]
-        assert said == [("log", f"x.mcap was left unfinished; finished now: {messages} messages")]
+        assert said == [("log", notice(NoticeCode.FINISHED, file="x.mcap", messages=messages))]
     path.unlink()
     copy.write_bytes(done)  # its file was deleted to make room
     finish_all(tmp_path, lambda kind, told: None)
