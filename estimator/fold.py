@@ -6,7 +6,7 @@ frames in their order.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Final
 
 from tilth.estimator import warm_start
 from tilth.estimator.methods import consistency
@@ -29,6 +29,7 @@ from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
+from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch import watch, wheel_speed
 from tilth.estimator.watch.accepted import acceptance, corrected
@@ -54,7 +55,17 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import sentence
 
-POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
+
+@dataclass(frozen=True, slots=True)
+class FoldTuning:
+    """What the fold publishes of itself."""
+
+    poses_per_drawing: int = tuned(
+        20, "poses", "between two drawings, 4 s: viewers that come late soon have them"
+    )
+
+
+FOLD: Final = FoldTuning()
 
 
 @dataclass(slots=True)
@@ -197,7 +208,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
         return out
     if jump_ns < 0 or (jump_ns > 0 and state.time.misled):
         _clock_stepped(state, frame.t_ns, jump_ns, out)
-    elif jump_ns >= log_time.SILENCE_NS:
+    elif jump_ns >= log_time.LOG_TIME.silence_ns:
         text = f"no frame for {jump_ns * 1e-9:.1f} s"
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, text)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
@@ -216,7 +227,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
     if state.decoder.addresses.news:
         _publish_news(state, state.decoder.addresses.news, out)
     due_ns = state.aligner.due_ns
-    if due_ns and (position_taken or now_ns >= due_ns + aligner.DEADLINE_NS):
+    if due_ns and (position_taken or now_ns >= due_ns + aligner.ALIGNMENT.deadline_ns):
         for pose in poses(state.aligner, now_ns):
             _publish_pose(state, frame.t_ns, pose, out)
     return out
@@ -352,11 +363,11 @@ def _check_consistency(
 
 
 def _publish_drawing(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
-    """For viewers: the frames of both bodies at this pose and, at each POSES_PER_DRAWING-th, their shapes."""
+    """For viewers: the frames of both bodies at this pose and, seldom (`poses_per_drawing`), their shapes."""
     frames = body_frames(state.machine, pose)
     if frames is not None:
         out.append(Publication(t_ns, "/drawing/frames", frames))
-    if state.poses % POSES_PER_DRAWING == 1:
+    if state.poses % FOLD.poses_per_drawing == 1:
         out.append(Publication(t_ns, "/drawing/bodies", drawing(state.machine, t_ns)))
 
 

@@ -16,7 +16,7 @@ from tilth.analysis.runs.table import Table
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.identifiability import DISTURBANCES, SENSOR_SETS, cramer_rao
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.windows import TURNED
+from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.flow import MISPLACED, PARAMETERS, WITHOUT_RTK
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import share
@@ -140,7 +140,7 @@ def stretches(poses: Table) -> Iterator[NDArray[np.intp]]:
 
 def _of_stretch(poses: Table, rows: NDArray[np.intp]) -> Iterator[DrivenSegment]:
     t, angle = poses.t_s[rows], poses["wheel_angle_rad"][rows]
-    turned = np.abs(angle - _zero(poses, rows)) > TURNED
+    turned = np.abs(angle - _zero(poses, rows)) > WINDOWS.turned
     for first, last in _active(t, turned):
         start = np.searchsorted(t, t[first] - LEAD_S)
         end = min(int(np.searchsorted(t, t[last] + QUIET_S)), len(t) - 1)
@@ -190,7 +190,7 @@ def _kind(poses: Table, rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> st
     if len(halves) >= LEAST_CROSSINGS:
         trend = np.corrcoef(np.argsort(np.argsort(halves)), np.arange(len(halves)))[0, 1]
         return CHIRP if abs(trend) > TRENDING else RANDOM
-    if held >= HELD_SHARE and abs(middle) > TURNED:
+    if held >= HELD_SHARE and abs(middle) > WINDOWS.turned:
         return STEADY_TURN if t[-1] - t[0] > LONG_HOLD_S else STEP
     if np.max(np.abs(angle)) > HEADLAND_ANGLE and abs(heading[-1] - heading[0]) > HEADLAND_HEADING:
         return HEADLAND
@@ -199,7 +199,7 @@ def _kind(poses: Table, rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> st
 
 def _half_periods(t: Floats, angle: Floats) -> Floats:
     """s between changes of the side to which the wheels are turned."""
-    side = np.sign(angle) * (np.abs(angle) > TURNED)
+    side = np.sign(angle) * (np.abs(angle) > WINDOWS.turned)
     rows = np.flatnonzero(side)
     crossings = rows[1:][np.diff(side[rows]) != 0]
     return np.diff(t[crossings]) if crossings.size > 1 else np.zeros(0)

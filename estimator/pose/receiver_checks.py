@@ -20,11 +20,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline
 from tilth.estimator.pose.geometry import rotate, wrap
-from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
-from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, angle_at, sample_at
+from tilth.estimator.pose.turn_rate_lag import (
+    TURN_RATE_LAG,
+    Lag,
+    regress,
+    settled,
+    time_constant,
+    update_verdict,
+)
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import WITHIN, plus_minus
@@ -96,9 +103,9 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     The pose before, since a pose is due as soon as the positions are there, and turn rate and roll of the
     same epoch come after them.
     """
-    follows = pose.t_ns - state.last_pose_ns == POSE_NS
+    follows = pose.t_ns - state.last_pose_ns == ALIGNMENT.pose_ns
     state.last_pose_ns = pose.t_ns
-    t_ns = pose.t_ns - POSE_NS
+    t_ns = pose.t_ns - ALIGNMENT.pose_ns
     kinds = {flag.kind for flag in pose.flags}
     speed = pose.tractor.forward_velocity
     pairs: list[_Pair | None] = [None, None]
@@ -107,7 +114,7 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):
         _update_intervals(state, aligner, body, pair, rolls[body], t_ns, follows)
-    if (pose.t_ns // POSE_NS) % HITCH_SAMPLE_POSES == 0:
+    if (pose.t_ns // ALIGNMENT.pose_ns) % HITCH_SAMPLE_POSES == 0:
         _add_hitch_sample(state, aligner.machine, pairs, rolls)
         _judge(state, aligner.machine)
 
@@ -227,7 +234,9 @@ def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None
         track = aligner.tracks.get(MOUNTS[index].value)
         at_ns = t_ns + aligner.latency.excess_ns(index)
         used = track is not None and not track.left_out
-        found = sample_at(track.rolls, at_ns, SLOW_HOLD_NS) if track is not None and used else None
+        found = (
+            sample_at(track.rolls, at_ns, RECEIVER_TRACK.slow_hold_ns) if track is not None and used else None
+        )
         if found is not None:
             found_rolls.append(found)
     if not found_rolls:
@@ -262,11 +271,11 @@ def _update_intervals(
         if rate is None or interval.poses < 0:
             lag.poses = -1
         elif lag.poses >= 0:
-            lag.integral += (lag.rate + rate) / 2 * POSE_NS * 1e-9
+            lag.integral += (lag.rate + rate) / 2 * ALIGNMENT.pose_ns * 1e-9
             lag.poses += 1
         lag.rate = rate or 0.0
         if ended and heading is not None and lag.poses == INTERVAL:
-            regress(lag, change, INTERVAL * POSE_NS * 1e-9, heading[1])
+            regress(lag, change, INTERVAL * ALIGNMENT.pose_ns * 1e-9, heading[1])
             if not lag.smoothed:
                 complete.append(lag.integral)
     if ended and pair is not None and roll is not None and complete:
@@ -285,14 +294,14 @@ def _reported_heading(aligner: Aligner, body: int, t_ns: int) -> tuple[float, fl
     if index < 0 or others:
         return None  # with two receivers only the baseline serves: a change of the source is no turn
     headings = aligner.tracks[MOUNTS[index].value].headings
-    return angle_at(headings, t_ns + aligner.latency.excess_ns(index), HOLD_NS)
+    return angle_at(headings, t_ns + aligner.latency.excess_ns(index), RECEIVER_TRACK.hold_ns)
 
 
 def _rate(aligner: Aligner, index: int, t_ns: int) -> float | None:
     track = aligner.tracks.get(MOUNTS[index].value)
     if track is None:
         return None
-    found = sample_at(track.yaw_rates, t_ns + aligner.latency.excess_ns(index), HOLD_NS)
+    found = sample_at(track.yaw_rates, t_ns + aligner.latency.excess_ns(index), RECEIVER_TRACK.hold_ns)
     return found[0] if found else None
 
 
@@ -392,11 +401,11 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
             setting[k] = abs(declared[k] - (number >> bit & 1))  # number 0 is as declared
     known = _informative(state)
     scores = np.array([_log_likelihood(*known, setting) for setting in settings])
-    likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
+    likely = np.array(settings)[scores > scores.max() - TURN_RATE_LAG.sure**2 / 2]
     lead = scores.max() - scores[0]
     if lead == 0.0:
         state.wrong, state.unclear = [None] * 4, False
-    elif lead > SURE**2 / 2 and lead > _best_log_likelihood(*known) - scores.max():
+    elif lead > TURN_RATE_LAG.sure**2 / 2 and lead > _best_log_likelihood(*known) - scores.max():
         # What it explains is more than what no setting explains: something else may move antennas. A receiver
         # is named if its own response says so, too.
         c, sds = responses(state)

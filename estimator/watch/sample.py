@@ -10,7 +10,7 @@ from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
-from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, Track, sample_at
+from tilth.estimator.pose.receiver_track import NO_POSITION, RECEIVER_TRACK, Track, sample_at
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
 WHEEL_HOLD_NS = 250_000_000
@@ -83,7 +83,9 @@ def _body(
     roll, rate = _mean_roll(tracks, t_ns), _mean_rate(tracks, t_ns)
     if roll is None or rate is None:
         return None
-    pitches = [found[0] for track in tracks if (found := sample_at(track.pitches, t_ns, SLOW_HOLD_NS))]
+    pitches = [
+        found[0] for track in tracks if (found := sample_at(track.pitches, t_ns, RECEIVER_TRACK.slow_hold_ns))
+    ]
     pitch = sum(pitches) / len(pitches) if pitches else 0.0
     points = []
     for receiver, track in zip(pair, tracks, strict=True):
@@ -104,7 +106,7 @@ def _body(
 
 
 def _mean_roll(tracks: list[Track], t_ns: int) -> float | None:
-    found = [s[0] for track in tracks if (s := sample_at(track.rolls, t_ns, SLOW_HOLD_NS))]
+    found = [s[0] for track in tracks if (s := sample_at(track.rolls, t_ns, RECEIVER_TRACK.slow_hold_ns))]
     return sum(found) / len(found) if found else None
 
 

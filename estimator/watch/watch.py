@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.watch import wheel_speed
 from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words, key_of
 from tilth.estimator.watch.evidence import (
@@ -102,7 +102,7 @@ def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Found]:
     speed = pose.tractor.forward_velocity
     if speed is None or speed < SLOWEST or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
         return []
-    now = sample(aligner, pose.t_ns - POSE_NS)
+    now = sample(aligner, pose.t_ns - ALIGNMENT.pose_ns)
     if now is None:
         return []
     _add(state, aligner.machine, rows(lengths(aligner.machine), now), pose.t_ns)

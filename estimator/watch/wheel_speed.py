@@ -24,7 +24,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.pose.receiver_track import sample_at
 from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Pose
@@ -110,7 +110,7 @@ def take(state: WheelSpeedState, machine: Machine, now: Instant) -> RadiusFound 
     """The same with the speeds of one instant."""
     _stand(state, now)
     if now.yaw_rate is not None and abs(now.yaw_rate) > STRAIGHT:
-        state.turned += abs(now.yaw_rate) * POSE_NS * 1e-9
+        state.turned += abs(now.yaw_rate) * ALIGNMENT.pose_ns * 1e-9
     ratio = _average(state, now)
     if ratio is None:
         return None

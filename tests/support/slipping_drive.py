@@ -5,7 +5,7 @@ import math
 import numpy as np
 from circle import START_NS, demo_machine
 
-from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.watch import wheel_speed
 from tilth.estimator.watch.wheel_speed import Instant, RadiusFound, WheelSpeedState
 from tilth.schemas.machine import Machine, Quantity
@@ -69,7 +69,7 @@ class SlippingDrive:
         )
 
     def _pose(self, speed: float, yaw_rate: float, slip: float) -> list[RadiusFound]:
-        self.t_ns += POSE_NS
+        self.t_ns += ALIGNMENT.pose_ns
         ground = speed + self._rng.normal(0.0, 0.035)
         wheels = self.factor * speed / (1.0 - slip) + self._rng.normal(0.0, 0.01)
         found = wheel_speed.take(self.state, self.machine, Instant(self.t_ns, ground, wheels, yaw_rate))

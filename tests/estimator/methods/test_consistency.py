@@ -255,7 +255,7 @@ def test_a_method_that_leaves_the_file_says_how_far_in_people_s_units(
     assert f"pem finds {words}" in text and text.endswith(f"{KEYS[name]}?")
 
 
-@pytest.mark.parametrize("name", open_tracker.GROSS)
+@pytest.mark.parametrize("name", open_tracker.OPEN_TRACKER.gross)
 @pytest.mark.parametrize(("sds_off", "sds_to_gross", "known"), [(0.0, 2.5, True), (0.0, 2.2, False),
     (1.0, 3.4, True), (1.0, 3.2, False), (3.0, 5.0, False)])  # fmt: skip
 def test_a_file_is_confirmed_when_its_gross_errors_can_be_ruled_out(
@@ -287,8 +287,8 @@ def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
     state = open_tracker.initial(machine)
     now = open_tracker.misfit(state, machine)
     assert now.total == 0.0 and not now.by_name.any()
-    assert set(open_tracker.unconfirmed(now, machine)) == set(open_tracker.CONFIRMING_SD)
-    narrow = open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_SD.values()))
+    assert set(open_tracker.unconfirmed(now, machine)) == set(open_tracker.OPEN_TRACKER.confirming_sd)
+    narrow = open_tracker.allowed(machine) < 0.5 * np.array(list(open_tracker.OPEN_TRACKER.open_sd.values()))
     assert [name for name, so in zip(open_tracker.NAMES, narrow, strict=True) if not so] == ["m_i"]
 
 
@@ -319,5 +319,5 @@ def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
         checks.learned, checks.rates_known, checks.open.push[3] = 100, True, uneven**2
         events += consistency.observe(checks, machine, state.aligner, state.checks, pose, None, {})
     accused = [kind for kind, _ in events]
-    assert accused == ([CONTRADICTION] if uneven < open_tracker.ROUGH else [])
+    assert accused == ([CONTRADICTION] if uneven < open_tracker.OPEN_TRACKER.rough else [])
     assert not checks.confirmed

@@ -10,7 +10,7 @@ from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 
 from tilth.estimator import fold
 from tilth.estimator.pose import aligner
-from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch, wheel_speed
 from tilth.estimator.watch.accepted import WHEEL_SPEED, corrected, in_words, key_of, line_of
@@ -131,7 +131,9 @@ def test_without_one_of_the_speeds_it_learns_nothing(missing: str) -> None:
     take = wheel_speed.take
     for k in range(2000):
         speeds = {"ground": 3.0, "wheels": 3.1, "yaw_rate": 0.0} | {missing: None}
-        now = Instant(START_NS + k * POSE_NS, speeds["ground"], speeds["wheels"], speeds["yaw_rate"])
+        now = Instant(
+            START_NS + k * ALIGNMENT.pose_ns, speeds["ground"], speeds["wheels"], speeds["yaw_rate"]
+        )
         assert take(drive.state, MACHINE, now) is None
     assert drive.state.averages == [] and drive.state.lows == []
 

@@ -1,0 +1,83 @@
+"""The table of components: which tuning constants each has, in records beside the code that uses them."""
+
+from typing import Any, Final, NamedTuple
+
+from tilth.estimator.fold import FOLD
+from tilth.estimator.methods.learned import LEARNED
+from tilth.estimator.methods.open_tracker import OPEN_TRACKER
+from tilth.estimator.methods.pem import PEM
+from tilth.estimator.methods.steady_state import STEADY_STATE
+from tilth.estimator.methods.tracker import TRACKER
+from tilth.estimator.methods.two_step import TWO_STEP
+from tilth.estimator.models.identifiability import IDENTIFIABILITY
+from tilth.estimator.models.linear_analysis import LINEAR_ANALYSIS
+from tilth.estimator.models.manoeuvres import MANOEUVRE
+from tilth.estimator.models.nonlinear import NONLINEAR
+from tilth.estimator.models.planned_run import PLANNED_RUN
+from tilth.estimator.models.rolling_terms import ROLLING
+from tilth.estimator.pose.aligner import ALIGNMENT
+from tilth.estimator.pose.driving import DRIVING
+from tilth.estimator.pose.epoch_clock import EPOCH_CLOCK
+from tilth.estimator.pose.latency import LATENCY
+from tilth.estimator.pose.lateness import LATENESS
+from tilth.estimator.pose.log_time import LOG_TIME
+from tilth.estimator.pose.pose import POSE
+from tilth.estimator.pose.position_rate import POSITION_RATE
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK
+from tilth.estimator.pose.recognition import RECOGNITION
+from tilth.estimator.pose.screen import SCREEN
+from tilth.estimator.pose.standing import STANDING
+from tilth.estimator.pose.turn_rate_lag import TURN_RATE_LAG
+from tilth.estimator.record.measured_rows import MEASURED_ROWS
+from tilth.estimator.record.record_builder import RECORD
+from tilth.estimator.record.steady_driving import STEADY_DRIVING
+from tilth.estimator.record.windows import WINDOWS
+from tilth.estimator.results.advice import ADVICE
+from tilth.estimator.results.recommend import RECOMMENDATION
+from tilth.estimator.results.reporting import REPORTING
+from tilth.estimator.warm_start import WARM_START
+
+
+class Component(NamedTuple):
+    """One row. record: a dataclass, each field of it `tuning.tuned`."""
+
+    name: str  # its file in estimator/
+    record: Any
+
+
+COMPONENTS: Final = (
+    Component("models/identifiability", IDENTIFIABILITY),
+    Component("models/linear_analysis", LINEAR_ANALYSIS),
+    Component("models/manoeuvres", MANOEUVRE),
+    Component("models/nonlinear", NONLINEAR),
+    Component("models/planned_run", PLANNED_RUN),
+    Component("models/rolling_terms", ROLLING),
+    Component("pose/aligner", ALIGNMENT),
+    Component("pose/driving", DRIVING),
+    Component("pose/epoch_clock", EPOCH_CLOCK),
+    Component("pose/latency", LATENCY),
+    Component("pose/lateness", LATENESS),
+    Component("pose/log_time", LOG_TIME),
+    Component("pose/pose", POSE),
+    Component("pose/position_rate", POSITION_RATE),
+    Component("pose/receiver_track", RECEIVER_TRACK),
+    Component("pose/recognition", RECOGNITION),
+    Component("pose/screen", SCREEN),
+    Component("pose/standing", STANDING),
+    Component("pose/turn_rate_lag", TURN_RATE_LAG),
+    Component("record/measured_rows", MEASURED_ROWS),
+    Component("record/record_builder", RECORD),
+    Component("record/steady_driving", STEADY_DRIVING),
+    Component("record/windows", WINDOWS),
+    Component("results/advice", ADVICE),
+    Component("results/recommend", RECOMMENDATION),
+    Component("results/reporting", REPORTING),
+    Component("methods/learned", LEARNED),
+    Component("methods/open_tracker", OPEN_TRACKER),
+    Component("methods/pem", PEM),
+    Component("methods/steady_state", STEADY_STATE),
+    Component("methods/tracker", TRACKER),
+    Component("methods/two_step", TWO_STEP),
+    Component("fold", FOLD),
+    Component("warm_start", WARM_START),
+)
