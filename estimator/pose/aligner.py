@@ -14,7 +14,7 @@ from tilth.estimator.pose import latency, lateness, plausibility
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.latency import Latency
 from tilth.estimator.pose.lateness import Lateness
-from tilth.estimator.pose.log_time import DAY_NS, LOG_TIME
+from tilth.estimator.pose.log_time import LOG_TIME
 from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, Sample, Track
 from tilth.estimator.pose.screen import SCREEN, Screens
 from tilth.estimator.tuning import tuned
@@ -33,6 +33,7 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.messages import DAY_NS
 
 
 @dataclass(frozen=True, slots=True)

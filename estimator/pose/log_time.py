@@ -14,6 +14,7 @@ from typing import Final
 
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Frame
+from tilth.schemas.messages import DAY_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +44,6 @@ class LogTimeTuning:
 
 
 LOG_TIME: Final = LogTimeTuning()
-
-DAY_NS: Final = 86_400_000_000_000
 
 
 @dataclass(slots=True)

@@ -53,7 +53,6 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "models/step_responses": ("AHEAD", "PACKED", "_DOUBLINGS", "_NORM", "_TERMS", "_TWO_PI", "_WHOLE"),
     # clocks and messages as they are
     "pose/aligner": ("LEAP_SECONDS_NS", "WHEEL_BASED_PGN"),
-    "pose/log_time": ("DAY_NS",),
     # looks of a drawing
     "pose/body_frames": ("_BLACK", "_CART", "_FRONT", "_GREEN", "_REAR", "_VIOLET", "_WHITE", "_YELLOW"),
 }  # fmt: skip
