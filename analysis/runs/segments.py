@@ -16,6 +16,7 @@ from tilth.analysis.runs.table import Table
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.identifiability import DISTURBANCES, SENSOR_SETS, cramer_rao
 from tilth.estimator.models.parameters import rig_of
+from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.flow import MISPLACED, PARAMETERS, WITHOUT_RTK
 from tilth.schemas.machine import Machine
@@ -31,7 +32,6 @@ LEAD_S: Final = 2.0  # of straight driving that belong to a segment before the w
 QUIET_S: Final = 3.0  # and after
 PAUSE_S: Final = 4.0  # wheels that are straight for less do not end a manoeuvre
 LONGEST_GAP_S: Final = 0.5  # between poses
-SLOWEST: Final = 1.0  # m/s
 SHORTEST_S: Final = 6.0
 SHORTEST_ROW_S: Final = 20.0
 LONGEST_ROW_S: Final = 120.0  # a longer one is cut: its parts tell alike
@@ -129,7 +129,7 @@ def stretches(poses: Table) -> Iterator[NDArray[np.intp]]:
     sound = np.array([not flags[text] for text in poses["flags"]])
     speed, angle = poses["tractor_forward_velocity_mps"], poses["wheel_angle_rad"]
     with np.errstate(invalid="ignore"):
-        good = sound & (poses["direction"] == 1) & (speed >= SLOWEST) & np.isfinite(angle)
+        good = sound & (poses["direction"] == 1) & (speed >= DRIVING.under_way) & np.isfinite(angle)
     good &= np.isfinite(poses["tractor_yaw_rate_radps"]) & np.isfinite(poses["tractor_heading_rad"])
     breaks = np.flatnonzero(np.diff(poses.t_s) > LONGEST_GAP_S) + 1
     edges = np.flatnonzero(np.diff(good.astype(np.int8))) + 1
@@ -228,7 +228,7 @@ def tells(segment: DrivenSegment, poses: Table, machine: Machine) -> tuple[str, 
     there = poses.between(segment.start_s, segment.end_s)
     angle, t = there["wheel_angle_rad"], there.t_s
     known = np.isfinite(angle)
-    if np.count_nonzero(known) < 3 or segment.speed < SLOWEST or segment.kind == ROW:
+    if np.count_nonzero(known) < 3 or segment.speed < DRIVING.under_way or segment.kind == ROW:
         return ()  # of a row the bound is never near, and costs most as rows are long
     steps = np.arange(t[known][0], t[known][-1], _STEP_S)
     wheel: Floats = np.interp(steps, t[known], angle[known])
