@@ -73,12 +73,12 @@ def right_file(truth: dict[str, Any]) -> Machine:
     file, _ = packaged()
     true, said = true_numbers(truth, file), file_numbers(file, file)
     by = {name: true[name] - said[name] for name in true}
-    late = [truth["nuisances"][f"latency_{mount.value}"] for mount in MOUNTS]
+    delay = [truth["nuisances"][f"latency_{mount.value}"] for mount in MOUNTS]
     receivers = {r.mount: r for r in file.receiver}
     changes = Changes(
-        late=np.array([t - receivers[m].latency.value for t, m in zip(late, MOUNTS, strict=True)]),
+        delay=np.array([t - receivers[m].latency.value for t, m in zip(delay, MOUNTS, strict=True)]),
         forward=np.array([by["lever_t"], by["lever_i"]]),
-        aside=np.array([by["aside_t"], by["aside_t"] + by["aside_i"]]),
+        lateral_offset=np.array([by["aside_t"], by["aside_t"] + by["aside_i"]]),
         pair=np.array([by["pair_t"], by["pair_i"]]), hitch=np.array([by["c"], by["d"]]),
         wheel_zero=true["wheel_zero"], wheel_gain=math.exp(true["wheel_gain"]),
         roll_zero=np.array([true[f"roll_zero_{mount.value}"] for mount in MOUNTS]), linkage=Linkage(),
@@ -162,7 +162,7 @@ def main() -> None:
     rows: dict[str, list[Array]] = {method: [] for method in METHODS}
     for plant, log, rig, line in rigs(kept, args.rigs):
         done = kept.of("soil", plant, log, rig)
-        if done is None and kept.late():
+        if done is None and kept.delay():
             break
         if done is None:
             path, truth = log_of(plant, log)

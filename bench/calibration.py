@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 
 from tilth.analysis.calibration.run import look_at_logs
 from tilth.estimator.calibration.calibrate import Calibration, CannotCalibrate, calibrate, look
+from tilth.estimator.calibration.calibrated_file import calibrated_machine
 from tilth.estimator.calibration.changes import Changes, Linkage, applied, heard_after, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.linkage import KINGPIN
 from tilth.estimator.calibration.priors import NUMBERS
-from tilth.estimator.calibration.told_file import told_machine
-from tilth.estimator.calibration.verdict import TOLD, RigVerdict, verdict
+from tilth.estimator.calibration.verdict import IDENTIFIED, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
@@ -99,9 +99,9 @@ def log_of(plant: str, seed: int) -> tuple[Path, list[Measurement], dict[str, An
 def wrong_rig(rng: np.random.Generator) -> Changes:
     """As wrong as people are: uniform within the issue's limits."""
     return Changes(
-        late=np.full(4, rng.uniform(-0.1, 0.1)),
+        delay=np.full(4, rng.uniform(-0.1, 0.1)),
         forward=rng.uniform(-0.2, 0.2, 2),
-        aside=rng.uniform(-0.2, 0.2, 2),
+        lateral_offset=rng.uniform(-0.2, 0.2, 2),
         pair=np.radians(rng.uniform(-3.0, 3.0, 2)),
         hitch=rng.uniform(-0.2, 0.2, 2),
         wheel_zero=math.radians(rng.uniform(-5.0, 5.0)),
@@ -113,15 +113,15 @@ def wrong_rig(rng: np.random.Generator) -> Changes:
 
 def structural(kind: str, rng: np.random.Generator) -> Changes:
     """A file with one structural fault and small errors."""
-    changes = replace(wrong_rig(rng), late=np.full(4, rng.uniform(-0.05, 0.05)))
+    changes = replace(wrong_rig(rng), delay=np.full(4, rng.uniform(-0.05, 0.05)))
     one = int(rng.integers(4))
     signs = tuple(-1 if k == one else 1 for k in range(4))
     if kind == "reversed_tractor":
-        return replace(changes, who=(1, 0, 2, 3))
+        return replace(changes, assignment=(1, 0, 2, 3))
     if kind == "reversed_implement":
-        return replace(changes, who=(0, 1, 3, 2))
+        return replace(changes, assignment=(0, 1, 3, 2))
     if kind == "bodies":
-        return replace(changes, who=[(2, 1, 0, 3), (2, 3, 0, 1), (0, 3, 2, 1), (3, 1, 2, 0)][one])
+        return replace(changes, assignment=[(2, 1, 0, 3), (2, 3, 0, 1), (0, 3, 2, 1), (3, 1, 2, 0)][one])
     if kind == "kingpin":
         place = ("left", "right")[one % 2]
         return replace(changes, linkage=linkage_of(packaged()[0], place))
@@ -150,7 +150,7 @@ def true_numbers(truth: dict[str, Any], machine: Machine) -> dict[str, float]:
                 [told[f"{axis}_{mount}"] - told[f"cg_{axis}_{body}"] for axis in ("forward", "right")]
             )
             places[mount] = turned + own
-    late = [told[f"latency_{mount.value}"] for mount in MOUNTS]
+    delay = [told[f"latency_{mount.value}"] for mount in MOUNTS]
     return {
         **_of_places(places, rig["b"], rig["e"]),
         "c": rig["c"] - rig["b"],
@@ -159,7 +159,7 @@ def true_numbers(truth: dict[str, Any], machine: Machine) -> dict[str, float]:
         "wheel_gain": math.log(told["wheel_gain"]),
         "wheel_curve": 0.0,
         "ackermann": truth["vehicle"]["ackermann"] if "vehicle" in truth else 1.0,
-        "latency": float(np.mean(late)),  # the poses take the first of arrival times (pose/epoch_clock.py)
+        "latency": float(np.mean(delay)),  # the poses take the first of arrival times (pose/epoch_clock.py)
         **{f"roll_zero_{mount.value}": told[f"roll_zero_{mount.value}"] for mount in MOUNTS},
     }
 
@@ -210,8 +210,10 @@ def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, Er
     judged = verdict(wrong, found)
     true, has = true_numbers(truth, right), file_numbers(found.machine, right)
     # The calibrated file says what its own numbers are; sds are those that are published.
-    errors = {one.number.name: (has[one.number.name] - true[one.number.name], one.sd) for one in judged.told}
-    return found, judged, errors, told_machine(wrong, found, judged)
+    errors = {
+        one.number.name: (has[one.number.name] - true[one.number.name], one.sd) for one in judged.numbers
+    }
+    return found, judged, errors, calibrated_machine(wrong, found, judged)
 
 
 class KeptLines:
@@ -227,7 +229,7 @@ class KeptLines:
     def of(self, *key: Any) -> dict[str, Any] | None:
         return self.lines.get(key)
 
-    def late(self) -> bool:
+    def delay(self) -> bool:
         """Whether nothing new is to be begun."""
         return time.monotonic() > self._end
 
@@ -243,7 +245,7 @@ def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLin
     errors: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for rig, plant in itertools.product(rigs, plants):
         line = kept.of("numbers", plant, rig % logs + 1, rig)
-        if line is None and kept.late():
+        if line is None and kept.delay():
             break
         if line is None:
             began = time.process_time()
@@ -254,7 +256,8 @@ def numbers(plants: Sequence[str], logs: int, rigs: Sequence[int], kept: KeptLin
                 continue
             line = {
                 "seconds": time.process_time() - began, "p": judged.p, "errors": mine,
-                "told": sum(one.status == TOLD for one in judged.told), "innovations": found.fit.residual,
+                "told": sum(one.status == IDENTIFIED for one in judged.numbers),
+                "innovations": found.fit.residual,
                 "settled": found.fit.settled, "faults": [fault.kind for fault in found.faults],
                 "machine": told.model_dump(mode="json"),
             }  # fmt: skip
@@ -302,7 +305,7 @@ def faults(plants: Sequence[str], logs: int, count: int, kept: KeptLines) -> Non
         for plant in plants:
             for k in range(count):
                 line = kept.of(kind, plant, k % logs + 1, k)
-                if line is None and kept.late():
+                if line is None and kept.delay():
                     continue
                 if line is None:
                     path, measurements, _ = log_of(plant, k % logs + 1)

@@ -52,12 +52,13 @@ class Effect:
 def stiff(setup: RigSetup) -> RigSetup:
     """Bodies that nothing leans: everything is at the ground, but for the antennas."""
     return setup._replace(
-        rig=setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=setup.roll._replace(pin=0.0, k_f=1e30)
+        rig=setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0),
+        roll=setup.roll._replace(pivot_height=0.0, k_f=1e30),
     )
 
 
 def level(setup: RigSetup) -> RigSetup:
-    return setup._replace(slope_sd=1e-4)
+    return setup._replace(bank_sd=1e-4)
 
 
 def exact_speed(setup: RigSetup) -> RigSetup:

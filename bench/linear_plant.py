@@ -27,7 +27,7 @@ from tilth.simulator.noise import generator
 Array = NDArray[np.float64]
 
 SPEED: Final = 4.5  # m/s
-PUSHES: Final = (0.3, 0.15, 0.05)  # m/s^2, m/s^2, rad/s^2: sds of the ground's, as unknowns.NOISES
+DISTURBANCES: Final = (0.3, 0.15, 0.05)  # m/s^2, m/s^2, rad/s^2: sds of the ground's, as unknowns.NOISES
 MEMORY_S: Final = 0.1
 SDS: Final = (math.radians(0.2), math.radians(0.3))  # of a yaw rate, rad/s, and of a heading, rad
 ZERO_SD: Final = math.radians(0.3)  # of the wheel angle's zero, drawn
@@ -44,7 +44,7 @@ REPEATS: Final = 4  # records over which the information is averaged
 
 
 class Plant(NamedTuple):
-    """What is true of one run. The ground pushes as PUSHES and MEMORY_S say, the noises are SDS."""
+    """What is true of one run. The ground pushes as DISTURBANCES and MEMORY_S say, the noises are SDS."""
 
     rig: Rig
     zero: float  # rad, that the wheel angle reads when straight
@@ -104,7 +104,7 @@ def bound(run: Plant, covariance: Array) -> Array:
 def information(run: Plant, repeats: int = REPEATS) -> Array:
     """Fisher information over UNKNOWN at the truth, mean over `repeats` fresh records, (q, q)."""
     truth = np.zeros(len(UNKNOWN))
-    truth[6:] = [run.zero, *np.log([*PUSHES, MEMORY_S]), 0.0, 0.0]
+    truth[6:] = [run.zero, *np.log([*DISTURBANCES, MEMORY_S]), 0.0, 0.0]
     nudges = np.vstack([np.eye(len(UNKNOWN)), -np.eye(len(UNKNOWN))]) * NUDGE
     _, y = _driven(run.rig, run.wheel, repeats, generator(run.seed, 3))
     points = truth + np.vstack([np.zeros(len(UNKNOWN)), nudges])
@@ -128,8 +128,8 @@ def white(rig: Rig) -> Array:
     """Sds of white v', r_t', r_i' (m/s^2, rad/s^2), held for a tick, that push as much as the ground does
     over times longer than its memory, (3,): for who models no memory."""
     b = system(model_named("relaxation"), rig, SPEED).b[:3, 1:]
-    of_yaw = np.array([0.0, PUSHES[2], 0.0])
-    size = np.sqrt(np.sum(np.square(b * PUSHES[:2]), axis=1) + np.square(of_yaw))
+    of_yaw = np.array([0.0, DISTURBANCES[2], 0.0])
+    size = np.sqrt(np.sum(np.square(b * DISTURBANCES[:2]), axis=1) + np.square(of_yaw))
     lasts = math.exp(-DT / MEMORY_S)
     return np.asarray(size * math.sqrt((1.0 + lasts) / (1.0 - lasts)), np.float64)
 
@@ -151,7 +151,7 @@ def _driven(rig: Rig, wheel: Array, count: int, rng: np.random.Generator) -> tup
     """(states (n, count, 11), outputs SEEN (n, count, 4)) from straight running."""
     f, g = _matrices(rig, MEMORY_S)
     n, fresh = len(wheel), math.sqrt(1.0 - math.exp(-2.0 * DT / MEMORY_S))
-    shocks = rng.standard_normal((n, count, 3)) * PUSHES
+    shocks = rng.standard_normal((n, count, 3)) * DISTURBANCES
     states = np.zeros((n, count, STATES))
     states[0, :, 8:] = shocks[0]
     for k in range(n - 1):
@@ -173,14 +173,14 @@ def _innovations(run: Plant, points: Array, y: Array) -> tuple[Array, Array]:
     made = [_matrices(rig, memory) for rig, memory in zip(rigs, memories.tolist(), strict=True)]
     f, g = np.array([m[0] for m in made]), np.array([m[1] for m in made])
     q, r = np.zeros((p, STATES)), np.zeros((p, 4))
-    pushes = np.exp(2.0 * points[:, 7:10])
-    q[:, 8:] = (1.0 - np.exp(-2.0 * DT / memories))[:, None] * pushes
+    disturbances = np.exp(2.0 * points[:, 7:10])
+    q[:, 8:] = (1.0 - np.exp(-2.0 * DT / memories))[:, None] * disturbances
     r[:, :2], r[:, 2:] = (np.exp(2 * points[:, 11:13]) * np.square(SDS)).T[:, :, None]
     reading = run.wheel + run.zero
     delta = ((reading[:-1] + reading[1:]) / 2)[:, None] - points[:, 6]
     outputs = list(OUTPUT_STATES)
     # Runs begin straight. If the first state had a variance, its absence would count as information.
-    first = np.hstack([np.full((p, STATES - 3), NO_SCATTER), pushes])
+    first = np.hstack([np.full((p, STATES - 3), NO_SCATTER), disturbances])
     P = first[:, :, None] * np.eye(STATES)
     x, e, innovation_covariances, gain = (
         np.zeros((p, y.shape[1], STATES)), np.zeros((n, p, y.shape[1], 4)), [], np.zeros(0),

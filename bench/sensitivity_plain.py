@@ -41,8 +41,10 @@ def _run(how: str, a: Array, b: Array, time: Array) -> Array:
     if how == "lsim":
         system = StateSpace(a, b[:, :1], np.eye(len(a)), np.zeros((len(a), 1)))
         return np.asarray(lsim(system, np.full(len(time), WHEEL_ANGLE), time)[1])
-    push = WHEEL_ANGLE * b[:, 0]
-    return np.asarray(solve_ivp(lambda t, x: a @ x + push, (0, time[-1]), np.zeros(len(a)), t_eval=time).y.T)
+    input_gain = WHEEL_ANGLE * b[:, 0]
+    return np.asarray(
+        solve_ivp(lambda t, x: a @ x + input_gain, (0, time[-1]), np.zeros(len(a)), t_eval=time).y.T
+    )
 
 
 def _outputs(x: Array, speed: float) -> list[float]:

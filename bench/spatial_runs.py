@@ -220,7 +220,7 @@ def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:
     result["wheel_gain"] = math.log(told["wheel_gain"] / machine.wheel_angle.gain.value)
     late = [told[f"latency_{r.mount}"] - r.latency.value for r in machine.receiver]
     result["latency"] = float(np.mean(late)) + JITTER_S
-    aside = {}
+    lateral_offset = {}
     for body in ("tractor", "implement"):
         k, mounts = body[0], [r for r in machine.receiver if r.mount.body == body]
         place = np.array([r.position[0] for r in mounts])
@@ -233,9 +233,9 @@ def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:
         result |= {f"roll_zero_{r.mount}": told[f"roll_zero_{r.mount}"] for r in mounts}
         for name, key in (("roll_late", "roll_delay"), ("rate_late", "turn_rate_delay")):
             result[f"{name}_{k}"] = float(np.mean([told[f"{key}_{r.mount}"] for r in mounts]))
-        aside[body] = float(np.mean(right)) - told[f"cg_right_{body}"]
+        lateral_offset[body] = float(np.mean(right)) - told[f"cg_right_{body}"]
     result["sway"] = 0.0
-    result["aside_i"] = aside["implement"] - aside["tractor"]
+    result["aside_i"] = lateral_offset["implement"] - lateral_offset["tractor"]
     return result
 
 

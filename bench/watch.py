@@ -32,7 +32,7 @@ from spatial_logs import CACHE, ROW, Run, seeds_of
 
 from tilth.estimator import fold
 from tilth.estimator.watch import watch
-from tilth.estimator.watch.suspects import PAIRS, WHEEL
+from tilth.estimator.watch.hypotheses import PAIRS, WHEEL
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import Event, Frame, Mount, Pose
 from tilth.schemas.machine import Machine

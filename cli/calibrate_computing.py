@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from tilth.cli.background_command import BackgroundCommand
 from tilth.client.calibration.shown import ComputedSoFar
-from tilth.estimator.calibration.first_look import LEAST_DRIVEN_S
+from tilth.estimator.calibration.initial_guess import LEAST_DRIVEN_S
 from tilth.estimator.calibration.stage_words import progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.schemas.invocation import in_background

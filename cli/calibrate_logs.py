@@ -17,9 +17,9 @@ from tilth.analysis.report.page import page
 from tilth.cli import WrongUse
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import stages
-from tilth.estimator.calibration import left_over
+from tilth.estimator.calibration import residuals
 from tilth.estimator.calibration.calibrate import CannotCalibrate
-from tilth.estimator.calibration.verdict import NOT_TOLD
+from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import bus_names, machine_in
@@ -188,11 +188,11 @@ def _show(found: Calibrated) -> None:
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
     for receiver in found.receivers:
         console.print(f"{receiver.words}.", highlight=False, markup=False, soft_wrap=True)
-    for sentence in (*left_over.sentences(found.found.fit.left), found.steering_words):
+    for sentence in (*residuals.sentences(found.found.fit.left), found.steering_words):
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
-    for one in found.verdict.told:
+    for one in found.verdict.numbers:
         if one.why_not:
-            verb = "not told" if one.status == NOT_TOLD else "better told"
+            verb = "not told" if one.status == NOT_IDENTIFIABLE else "better told"
             console.print(f"{one.number.words}: {verb} by: {one.why_not}", highlight=False, soft_wrap=True)
 
 

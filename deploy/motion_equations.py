@@ -36,7 +36,9 @@ signum = _named("signum", lambda value: 0)
 size = _named("size", signum)
 is_within = _named("is_within", lambda value, limit: 0, lambda value, limit: 0)
 within = _named("within", is_within, lambda value, limit: (1 - is_within(value, limit)) * signum(value))
-kept_length = _named("kept_length", *map(sp.Function, ("kept_length_by_slip", "kept_length_by_shrink")))
+kept_length = _named(
+    "kept_length", *map(sp.Function, ("kept_length_by_slip", "kept_length_by_slip_dependence"))
+)
 both_wheels = _named("both_wheels", *map(sp.Function, ("both_wheels_by_speed", "both_wheels_by_difference")))
 
 
@@ -69,7 +71,7 @@ def velocities() -> dict[str, tuple[Any, Any]]:
     """Velocity along and across the wheels of each axle; pin and drawbar move with the lean."""
     delta, lam = W["delta"], X["psi_t"] - X["psi_i"]
     u, v, r_t, r_i, p_t, p_i = W["u"], X["v"], X["r_t"], X["r_i"], X["p_t"], X["p_i"]
-    front, hitch = v + P["a"] * r_t + P["pin"] * p_t, v - P["c"] * r_t + P["h_h"] * p_t
+    front, hitch = v + P["a"] * r_t + P["pivot_height"] * p_t, v - P["c"] * r_t + P["h_h"] * p_t
     side = u * sp.sin(lam) + hitch * sp.cos(lam) - (P["d"] + P["e"]) * r_i - P["h_h"] * p_i
     return {
         "f": (u * sp.cos(delta) + front * sp.sin(delta), front * sp.cos(delta) - u * sp.sin(delta)),
@@ -132,11 +134,11 @@ def wheels() -> dict[str, list[Wheel]]:
     front = (loads["f"], level_t, X["alpha_f"], P["C_f"], speed["f"], front_wheels_apart()[0])
     even = axle(front[0], front[1], ZERO, *front[2:])
     found = {
-        "f": axle(front[0], front[1], P["pin"] * front_side(even) / P["w_f"], *front[2:]),
+        "f": axle(front[0], front[1], P["pivot_height"] * front_side(even) / P["w_f"], *front[2:]),
         "r": axle(loads["r"], level_t, moment_t / P["w_r"], X["alpha_r"], P["C_r"], speed["r"]),
         "i": axle(loads["i"], level_i, moment_i / P["w_i"], X["alpha_i"], P["C_i"], speed["i"]),
     }
-    tipped = -P["pin"] * front_side(even) / P["k_f"]  # the front axle, as it is pushed below its pin
+    tipped = -P["pivot_height"] * front_side(even) / P["k_f"]  # the front axle, as it is pushed below its pin
     for name, lean in (
         ("f", tipped), ("r", X["phi_t"] - W["uneven_t"]), ("i", X["phi_i"] - W["uneven_i"])
     ):  # fmt: skip
@@ -187,13 +189,13 @@ def dynamics() -> tuple[sp.Matrix, sp.Matrix]:
         front_y + across["r"] + pull_t + cart_ty,
         P["a"] * front_y - P["b"] * across["r"] + skew - P["c"] * cart_ty,
         -P["e"] * across["i"] + skew_i - P["d"] * cart_y,
-        z * cart_ty + P["pin"] * front_y + P["h_t"] * pull_t + held_t,
+        z * cart_ty + P["pivot_height"] * front_y + P["h_t"] * pull_t + held_t,
         -z * cart_y + P["h_i"] * pull_i + held_i,
     ])  # fmt: skip
     right -= m_t * tractor.T * turned_t + m_i * implement.T * turned_i + M[:, 0] * W["u_rate"]
     share, sine = P["front_drive"], sp.sin(W["delta"])
-    push_x, push_y = share * (sp.cos(W["delta"]) - 1), share * sine
-    M[:, 0] = sp.Matrix([-1 - push_x, -push_y, -P["a"] * push_y, 0, -P["pin"] * push_y, 0])
+    drive_x, drive_y = share * (sp.cos(W["delta"]) - 1), share * sine
+    M[:, 0] = sp.Matrix([-1 - drive_x, -drive_y, -P["a"] * drive_y, 0, -P["pivot_height"] * drive_y, 0])
     return M, right
 
 
@@ -205,10 +207,10 @@ def slip_rates() -> sp.Matrix:
         along, across = velocities()[name]
         alpha, stiffness = X[f"alpha_{name}"], P[f"C_{name}"]
         length = P[f"sigma_{name}"] * kept_length(
-            stiffness * size(alpha) * P["curvature"] / load, P["shrink"]
+            stiffness * size(alpha) * P["curvature"] / load, P["slip_dependence"]
         )
         if name == "f":  # the axle turns about its pin as it is pushed: one more spring in a row
-            length += stiffness * P["pin"] ** 2 / P["k_f"]
+            length += stiffness * P["pivot_height"] ** 2 / P["k_f"]
             across += along * front_wheels_apart()[1]
         both = both_wheels(along, yaw * P[f"w_{name}"])
         speed = size(along + P["two_track"] * (both - along))
@@ -235,7 +237,7 @@ from tilth.estimator.models.rolling_terms import (
     both_wheels_by_speed,
     is_within,
     kept_length,
-    kept_length_by_shrink,
+    kept_length_by_slip_dependence,
     kept_length_by_slip,
     signum,
     size,
@@ -351,6 +353,6 @@ def source() -> str:
     return "\n\n".join([
         HEAD,
         _kernel("motion", VALUE, value, _values(given, values)),
-        _kernel("motion_slopes", SLOPE, slope, _slopes(given | found, rows, moving)),
-        _kernel("parameter_slopes", PARAMETER_SLOPE, slope, _slopes(given | found, rows, constant)),
+        _kernel("motion_by_state", SLOPE, slope, _slopes(given | found, rows, moving)),
+        _kernel("motion_by_parameter", PARAMETER_SLOPE, slope, _slopes(given | found, rows, constant)),
     ])  # fmt: skip

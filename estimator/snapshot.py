@@ -24,7 +24,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Flag
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 21
+VERSION: Final = 22
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.calibrate import TractorMotion
 from tilth.estimator.calibration.faults import EXPLAINED
-from tilth.estimator.calibration.first_look import MOVING, SLOW
+from tilth.estimator.calibration.initial_guess import MOVING, SLOW
 from tilth.estimator.calibration.least_squares import solve
 from tilth.replay.wheel_search import FEWEST_SAMPLES, SLOWEST_HZ, Words, may_hold_it, with_sign, words_of
 from tilth.schemas.can_id import split

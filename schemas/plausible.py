@@ -210,11 +210,11 @@ def _order(pair: list[Receiver]) -> Iterator[Doubt]:
         return
     front, rear = pair
     behind = rear.position[0] - front.position[0]
-    aside = abs(front.position[1] - rear.position[1])
+    lateral_offset = abs(front.position[1] - rear.position[1])
     if behind <= 0.0:
         return
     text = (
         f"receiver {front.mount}: position, forward = {with_unit(front.position[0], 'm')}: stands behind "
         f"{rear.mount}, which is at {rear.position[0]:g}; are the two exchanged?"
     )
-    yield Doubt(text, behind > max(aside, SIDE_BY_SIDE))
+    yield Doubt(text, behind > max(lateral_offset, SIDE_BY_SIDE))

@@ -63,7 +63,7 @@ class Terrain:
     downhill: float
     roll: tuple[float, float]  # of tractor and implement, whatever their heading
     rolling: Waves  # rad
-    pushing: Waves  # lateral force over weight
+    lateral_force: Waves  # lateral force over weight
     lag: float  # from the tractor's rear axle to the implement's
 
     def rolls(
@@ -90,8 +90,8 @@ class Terrain:
         roll_t, roll_i = self.rolls(s, psi_t, psi_i)
         down_t, down_i = math.cos(self.downhill - psi_t), math.cos(self.downhill - psi_i)
         along = rig.g * math.sin(self.slope) * (rig.m_t * down_t + rig.m_i * down_i)
-        force_t = rig.m_t * rig.g * float(self.pushing.at(s))
-        force_i = rig.m_i * rig.g * float(self.pushing.at(s - self.lag))
+        force_t = rig.m_t * rig.g * float(self.lateral_force.at(s))
+        force_i = rig.m_i * rig.g * float(self.lateral_force.at(s - self.lag))
         return rig.g * math.sin(roll_t), rig.g * math.sin(roll_i), along, force_t, force_i
 
 

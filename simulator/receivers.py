@@ -267,13 +267,13 @@ def _at(machine: Machine, truth: Truth, receiver: Receiver, epochs: Array, moved
     turn_rate = body.yaw_rate if body.gyro is None else body.gyro
     forward, right = _place(machine, truth, mount)
     ahead = forward * np.cos(pitch) - above * back[k]
-    aside = (right + moved_m) * np.cos(roll) + above * side[k]
-    u = body.forward_velocity[k] - r * aside - above * rate(back)[k]
+    lateral_offset = (right + moved_m) * np.cos(roll) + above * side[k]
+    u = body.forward_velocity[k] - r * lateral_offset - above * rate(back)[k]
     v = body.lateral_velocity[k] + r * ahead + above * rate(side)[k]
     cosine, sine = np.cos(psi), np.sin(psi)
     return BodyTrack(
-        body.x[k] + ahead * cosine - aside * sine,
-        body.y[k] + ahead * sine + aside * cosine,
+        body.x[k] + ahead * cosine - lateral_offset * sine,
+        body.y[k] + ahead * sine + lateral_offset * cosine,
         psi,
         u * cosine - v * sine,
         u * sine + v * cosine,

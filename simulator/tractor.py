@@ -269,24 +269,24 @@ def _tracks(rig: Rig, land: Terrain, states: Array, way: float) -> tuple[BodyTra
         (cart, "psi_i", "r_i", rig.h_i, rolls[1]),
     )
     one, other = (
-        _swaying(motion, states[:, AT[psi]], states[:, AT[r]], height, roll, land)
+        _with_roll(motion, states[:, AT[psi]], states[:, AT[r]], height, roll, land)
         for motion, psi, r, height, roll in bodies
     )
     return one, other
 
 
-def _swaying(motion: Array, psi: Array, r: Array, height: float, roll: Array, land: Terrain) -> BodyTrack:
+def _with_roll(motion: Array, psi: Array, r: Array, height: float, roll: Array, land: Terrain) -> BodyTrack:
     """The CG `height` above the ground point that moves as `motion`: x, y, u, v, shape (n, 4)."""
     pitch = np.broadcast_to(land.pitch(psi), psi.shape)
     back, side = leaning(roll, pitch)
-    ahead, aside = -height * back, height * side
+    ahead, lateral_offset = -height * back, height * side
     cosine, sine = np.cos(psi), np.sin(psi)
     return BodyTrack(
-        motion[:, 0] + ahead * cosine - aside * sine,
-        motion[:, 1] + ahead * sine + aside * cosine,
+        motion[:, 0] + ahead * cosine - lateral_offset * sine,
+        motion[:, 1] + ahead * sine + lateral_offset * cosine,
         psi,
-        motion[:, 2] + rate(ahead) - r * aside,
-        motion[:, 3] + rate(aside) + r * ahead,
+        motion[:, 2] + rate(ahead) - r * lateral_offset,
+        motion[:, 3] + rate(lateral_offset) + r * ahead,
         r,
         roll,
         pitch,

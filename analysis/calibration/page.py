@@ -11,7 +11,7 @@ from tilth.analysis.report.document import (
     ReportTable,
     ReportText,
 )
-from tilth.estimator.calibration.verdict import NOT_TOLD
+from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import plus_minus
@@ -39,7 +39,7 @@ def _numbers(found: Calibrated) -> ReportSection:
             ReportCell(text, one.moved if k == 1 else None, one.sd if k == 1 else None)
             for k, text in enumerate(row)
         )
-        for one, row in zip(found.verdict.told, found.rows(), strict=True)
+        for one, row in zip(found.verdict.numbers, found.rows(), strict=True)
     )
     columns = (
         "number",
@@ -53,9 +53,9 @@ def _numbers(found: Calibrated) -> ReportSection:
     )
     table = ReportTable("numbers", "What the drive told, on top of what the file said", columns, rows)
     asked = []
-    for one in found.verdict.told:
+    for one in found.verdict.numbers:
         if one.why_not:
-            verb = "is not told" if one.status == NOT_TOLD else "would be told better"
+            verb = "is not told" if one.status == NOT_IDENTIFIABLE else "would be told better"
             asked.append(ReportText(f"{one.number.words}: {verb}; {one.why_not}."))
     return ReportSection("numbers", "Numbers", (table, *asked))
 
@@ -65,12 +65,12 @@ def _receivers(found: Calibrated) -> ReportSection:
     for one in found.receivers:
         jitter = "no standstill" if one.jitter is None else f"{one.jitter * 1e3:.0f} mm"
         per_s = "" if one.per_s is None else f"{one.per_s:.1f} Hz"
-        late, stated = (f"{s * 1e3:.0f} ms" for s in (one.latency, one.stated))
+        delay, stated = (f"{s * 1e3:.0f} ms" for s in (one.latency, one.stated))
         rows.append(
             (
                 ReportCell(one.mount.replace("_", " ")), ReportCell(one.name),
                 ReportCell("not heard" if one.source is None else f"{one.source} on {one.bus}"),
-                ReportCell(per_s, one.per_s), ReportCell(jitter, one.jitter), ReportCell(late, one.latency),
+                ReportCell(per_s, one.per_s), ReportCell(jitter, one.jitter), ReportCell(delay, one.latency),
                 ReportCell(stated, one.stated),
             )
         )  # fmt: skip

@@ -20,14 +20,14 @@ from tilth.estimator.calibration.calibrate import (
     look,
     tractor_motion,
 )
+from tilth.estimator.calibration.calibrated_file import calibrated_machine
 from tilth.estimator.calibration.changes import Changes, wheel_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.priors import NOT_BY_DRIVING
 from tilth.estimator.calibration.receivers import ReceiverRow
 from tilth.estimator.calibration.steering_response import SteeringResponse, respond
-from tilth.estimator.calibration.told_file import told_machine
-from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict, Told, verdict
+from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE, NumberVerdict, RigVerdict, verdict
 from tilth.replay.readers.rig import Say
 from tilth.replay.simulated import SAID, simulated_by
 from tilth.replay.wheel_by_way import find, reading_as
@@ -73,7 +73,7 @@ class Calibrated:
         """Of the table of numbers, as texts."""
         written = from_to(self.machine, self.told, _places(self.found))
         zero = math.radians(self.told.wheel_angle.zero.value - self.machine.wheel_angle.zero.value)
-        return [_row(_of_the_file(one, zero), written[one.number.name]) for one in self.verdict.told]
+        return [_row(_of_the_file(one, zero), written[one.number.name]) for one in self.verdict.numbers]
 
     def sentences(self) -> list[str]:
         """What a person should know of it."""
@@ -104,7 +104,7 @@ class Calibrated:
                     "prior_sd": one.number.prior_sd, "wanted_sd": one.number.wanted_sd, "status": one.status,
                     "halves": one.halves, "p": one.p, "tell": one.why_not,
                 }
-                for one in self.verdict.told
+                for one in self.verdict.numbers
             ],
             "halves": {"chi2": self.verdict.chi2, "dof": self.verdict.dof, "p": self.verdict.p},
             "soil": {
@@ -157,7 +157,7 @@ def calibrate_logs(
         heard = read(paths, described, buses, lambda text: None, lambda done, of: None)
         found = calibrate(described, heard.measurements, later)
     judged = verdict(described, found)
-    told = told_machine(described, found, judged)
+    told = calibrated_machine(described, found, judged)
     when = datetime.fromtimestamp(heard.first_ns * 1e-9, UTC).strftime("%Y-%m-%d")
     places = _places(found)
     after = rewritten(text, machine, told, places, when)
@@ -237,7 +237,7 @@ def _reread(
 
 def _places(found: Calibration) -> dict[str, str]:
     """Mount of each receiver in the file -> where it stands."""
-    return {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(found.changes.who)}
+    return {MOUNTS[device].value: MOUNTS[k].value for k, device in enumerate(found.changes.assignment)}
 
 
 def _notes(heard: LogHeard) -> list[str]:
@@ -252,10 +252,10 @@ def _notes(heard: LogHeard) -> list[str]:
     ]
 
 
-def _of_the_file(one: Told, zero: float) -> Told:
+def _of_the_file(one: NumberVerdict, zero: float) -> NumberVerdict:
     """The same as it changes the file: the wheel's scale by as much as its reading was too large; its zero,
     rad, with what the scale does to it. What is not told changes nothing there."""
-    if one.status == NOT_TOLD:
+    if one.status == NOT_IDENTIFIABLE:
         return one
     if one.number.name == "wheel_gain":
         sd = one.sd * math.exp(-one.moved)
@@ -268,7 +268,7 @@ def _of_the_file(one: Told, zero: float) -> Told:
     return one
 
 
-def _row(one: Told, written: str) -> tuple[str, ...]:
+def _row(one: NumberVerdict, written: str) -> tuple[str, ...]:
     """written: what its key in the file goes from and to."""
     number = one.number
     unit, per = number.unit, number.per_unit
@@ -277,7 +277,7 @@ def _row(one: Told, written: str) -> tuple[str, ...]:
         return f"{float(f'{value / per:.2g}'):g} {unit}"  # two digits, and 100, not 1e+02
 
     change = "stays"
-    if one.status != NOT_TOLD:
+    if one.status != NOT_IDENTIFIABLE:
         change = plus_minus(one.moved / per, one.sd / per, unit).removesuffix(" (95 %)")
     halves = ""
     if one.halves is not None and one.p is not None:
@@ -287,7 +287,7 @@ def _row(one: Told, written: str) -> tuple[str, ...]:
     return (
         number.words,
         change,
-        "" if one.status == NOT_TOLD else written,
+        "" if one.status == NOT_IDENTIFIABLE else written,
         shown(number.prior_sd),
         shown(one.sd),
         shown(number.wanted_sd),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tilth.analysis.fit.fitting import Fitted
 from tilth.analysis.fit.joint import Joint, Linearised, join
 from tilth.analysis.fit.segment_fit import FittedWindow
-from tilth.analysis.fit.window_terms import Terms, Told, terms_at
+from tilth.analysis.fit.window_terms import SegmentTerms, Terms, terms_at
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NOISE, SIX
@@ -48,7 +48,7 @@ class Known:
     point: Array  # [n] of unknowns.NAMES, where records are expected
     before: Linearised | None = None  # what a log has told, around that point
     rates: tuple[tuple[float, float, float, float], ...] = ()  # kind, place, Hz, sd; () by the machine file
-    cache: dict[tuple[object, ...], Told] = field(default_factory=dict)
+    cache: dict[tuple[object, ...], SegmentTerms] = field(default_factory=dict)
 
 
 def from_machine(machine: Machine) -> Known:
@@ -74,7 +74,7 @@ def from_log(machine: Machine, fitted: Fitted) -> Known:
     return Known(machine, point, fitted.linearised, tuple(rates))
 
 
-def told_by(known: Known, scheduled: Scheduled, limits: DrivingLimits, seed: int) -> Told:
+def told_by(known: Known, scheduled: Scheduled, limits: DrivingLimits, seed: int) -> SegmentTerms:
     """What a run will tell."""
     run = scheduled.run
     side = scheduled.replicate % 2 if run.side == "both" else 0
@@ -86,7 +86,7 @@ def told_by(known: Known, scheduled: Scheduled, limits: DrivingLimits, seed: int
     return known.cache[name]
 
 
-def told_of(known: Known, speed: float, angles: Array) -> Told:
+def told_of(known: Known, speed: float, angles: Array) -> SegmentTerms:
     """What a drive will tell. angles: of the wheels, rad, DT apart, (n,), from straight."""
     angles = np.concatenate([np.zeros(round(LEAD_S / DT)), angles])
     record = expected(known.machine, known.point, speed, angles, _rows(known, len(angles)))
@@ -136,7 +136,7 @@ def _windows(record: Record) -> list[Record]:
     return found
 
 
-def joined(known: Known, told: Sequence[Told], runs_on: int = 0) -> Joint:
+def joined(known: Known, told: Sequence[SegmentTerms], runs_on: int = 0) -> Joint:
     """The posterior after what the log has told and after these runs, so many runs further on. Raises
     ValueError without any."""
     before = known.before
@@ -151,7 +151,7 @@ def joined(known: Known, told: Sequence[Told], runs_on: int = 0) -> Joint:
     return join(known.machine, Linearised(known.point, tuple(every), tuple(between), (0.0,) * len(every)))
 
 
-def sds(known: Known, told: Sequence[Told], runs_on: int = 0) -> Array:
+def sds(known: Known, told: Sequence[SegmentTerms], runs_on: int = 0) -> Array:
     """Sds of the six logarithms, (6,), as they will be published after these runs, so many further on."""
     if not told and known.before is None:
         return np.asarray(unknowns.prior(known.machine)[1][SIX], np.float64)

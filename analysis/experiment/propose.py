@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 from scipy.optimize import minimize
 
 from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, without_log, worst_of
-from tilth.analysis.fit.window_terms import Told
+from tilth.analysis.fit.window_terms import SegmentTerms
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.estimator.models.planned_run import Scheduled, Way, check, drives, needed, way, wheel_angle
 from tilth.schemas.experiment import (
@@ -85,7 +85,7 @@ class BestRun(NamedTuple):
     """The best run of a kind."""
 
     run: AnyRun
-    told: tuple[Told, ...]  # by its replicates
+    told: tuple[SegmentTerms, ...]  # by its replicates
     sd: Array  # (6,), after them
 
 

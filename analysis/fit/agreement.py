@@ -20,7 +20,7 @@ from scipy.linalg import lstsq
 from scipy.optimize import minimize
 from scipy.special import chdtrc  # scipy.stats takes a second to import
 
-from tilth.analysis.fit.window_terms import Terms, Told, places
+from tilth.analysis.fit.window_terms import SegmentTerms, Terms, places
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.unknowns import SIX
@@ -61,7 +61,7 @@ class Agreement:
         return self.p < SPREAD
 
 
-def agree(machine: Machine, told: Sequence[Told], between_m: Sequence[float]) -> Agreement:
+def agree(machine: Machine, told: Sequence[SegmentTerms], between_m: Sequence[float]) -> Agreement:
     """Test whether segments agree on the six, around a common point.
 
     With D = V V' each segment says V' p = V^+ (-g) with white noise of sd 1; D is narrowed by what the scores
@@ -118,12 +118,12 @@ def _sentence(count: int, found: float, dof: int, p: float) -> str:
     )
 
 
-def _rows(machine: Machine, told: Sequence[Told]) -> list[tuple[Array, Array]]:
+def _rows(machine: Machine, told: Sequence[SegmentTerms]) -> list[tuple[Array, Array]]:
     sd = unknowns.prior(machine)[1][places(machine)]
     return [_rows_of(segment, sd) for segment in told]
 
 
-def _rows_of(segment: Told, sd: Array) -> tuple[Array, Array]:
+def _rows_of(segment: SegmentTerms, sd: Array) -> tuple[Array, Array]:
     """(V', -V^+ g) in prior sds: what a segment says of the directions of which it tells enough."""
     scale = np.outer(sd, sd)
     information = np.asarray(sum(one.information for one in segment)) * scale
@@ -139,7 +139,7 @@ def _rows_of(segment: Told, sd: Array) -> tuple[Array, Array]:
     return design, (vectors[:, told].T @ pull) / (excess[told] * roots)
 
 
-def between_sd(machine: Machine, told: Sequence[Told], agreement: Agreement) -> Array:
+def between_sd(machine: Machine, told: Sequence[SegmentTerms], agreement: Agreement) -> Array:
     """Sds of the six logarithms, (6,), from segment to segment; 0 where they agree.
 
     By restricted maximum likelihood: the mean of the six has a flat prior, what is the machine's its own.
@@ -186,7 +186,7 @@ def _with_room(information: Array, pull: Array, variances: Array) -> tuple[Array
     )  # fmt: skip
 
 
-def sum_of(segment: Told) -> Terms:
+def sum_of(segment: SegmentTerms) -> Terms:
     """The windows of a segment as one; errors of the model weighted by what each tells."""
     weights = np.array([np.diag(one.information)[SIX] for one in segment]) + 1e-12
     return Terms(
@@ -198,7 +198,7 @@ def sum_of(segment: Told) -> Terms:
     )
 
 
-def with_room(segment: Told, sds: Array) -> Told:
+def with_room(segment: SegmentTerms, sds: Array) -> SegmentTerms:
     """What a segment says of the mean of the six, where its own differ from that by such sds, (6,)."""
     if not segment or not np.any(sds):
         return segment
@@ -215,7 +215,7 @@ def with_room(segment: Told, sds: Array) -> Told:
     )
 
 
-def own_change(segment: Told, sds: Array, change: Array) -> Array:
+def own_change(segment: SegmentTerms, sds: Array, change: Array) -> Array:
     """By how much the six of a segment differ from their mean, (6,), where all else changes by `change`,
     (a,)."""
     one, root = sum_of(segment), sds
@@ -224,7 +224,9 @@ def own_change(segment: Told, sds: Array, change: Array) -> Array:
     return np.asarray(-root * np.linalg.solve(inside, root * pull))
 
 
-def groups(machine: Machine, told: Sequence[Told], between_m: Sequence[float]) -> tuple[tuple[int, ...], ...]:
+def groups(
+    machine: Machine, told: Sequence[SegmentTerms], between_m: Sequence[float]
+) -> tuple[tuple[int, ...], ...]:
     """Segments that agree among themselves, in order. Neighbours on the way are joined first, the most alike
     before others; then soils that were met again."""
     rows = _rows(machine, told)

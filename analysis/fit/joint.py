@@ -25,7 +25,7 @@ from tilth.analysis.fit.agreement import (
 )
 from tilth.analysis.fit.segment_fit import SegmentFit
 from tilth.analysis.fit.side_by_side import Map
-from tilth.analysis.fit.window_terms import Told, places, terms_at
+from tilth.analysis.fit.window_terms import SegmentTerms, places, terms_at
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import drift, retained_share
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
@@ -67,7 +67,7 @@ class Linearised:
     """All segments near the points that were found for them."""
 
     point: Array  # [n], common
-    told: tuple[Told, ...]  # of each segment, around that point
+    told: tuple[SegmentTerms, ...]  # of each segment, around that point
     between_m: tuple[float, ...]  # from each segment to the next
     seconds: tuple[float, ...]  # of driving, of each
     alone: tuple[tuple[Array, Array], ...] = ()  # mean [n] and covariance [n, n] of each one's own fit
@@ -87,10 +87,10 @@ def linearise(
     shared = places(machine)
     point, points = _start(machine, fits)
     longest = LONGEST * unknowns.prior(machine)[1]
-    told, spread = list[Told](), np.zeros(6)
+    told, spread = list[SegmentTerms](), np.zeros(6)
     for k in range(MOST_STEPS):
         terms = each(terms_at, [machine] * len(windows), windows, points[owner])
-        around: list[Told] = [()] * len(fits)
+        around: list[SegmentTerms] = [()] * len(fits)
         for at, window, one in zip(owner, windows, terms, strict=True):
             gradient = one.gradient + one.information @ (point - points[at])[shared]
             common = point.copy()
@@ -129,7 +129,7 @@ def _start(machine: Machine, fits: Sequence[SegmentFit]) -> tuple[Array, Array]:
 
 
 def _newton(
-    machine: Machine, told: Sequence[Told], spread: Array, point: Array
+    machine: Machine, told: Sequence[SegmentTerms], spread: Array, point: Array
 ) -> tuple[Array, Array, Array]:
     """(common point [n], that of each segment (segments, n), sds of the common unknowns (a,)) by a step of
     Newton. The prior counts once."""
@@ -185,7 +185,7 @@ def join(machine: Machine, all_of: Linearised, chosen: Sequence[int] | None = No
 
 
 def _posterior(
-    machine: Machine, point: Array, told: Sequence[Told], between_m: Sequence[float], spread: Array
+    machine: Machine, point: Array, told: Sequence[SegmentTerms], between_m: Sequence[float], spread: Array
 ) -> tuple[Array, Array]:
     """(change from the point (a,), covariance (a, a)) at the place of the last segment."""
     told = [with_room(segment, spread) for segment in told]
@@ -227,7 +227,7 @@ def _range(machine: Machine, all_of: Linearised, rows: Sequence[int]) -> tuple[A
     return np.min(alone, axis=0), np.max(alone, axis=0)
 
 
-def _factor_of_few(machine: Machine, told: Sequence[Told], spread: Array) -> Array:
+def _factor_of_few(machine: Machine, told: Sequence[SegmentTerms], spread: Array) -> Array:
     """How much wider than by a normal distribution 95 % of the six are, (6,), where their variance between
     segments is known by so few: Student's t, as by Hartung and Knapp. Segments count by their weights."""
     prior = np.diag(unknowns.prior(machine)[1][places(machine)] ** -2.0)
@@ -241,7 +241,7 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
-def _published(covariance: Array, told: Sequence[Told], sd: Array, model_sd: Array) -> Array:
+def _published(covariance: Array, told: Sequence[SegmentTerms], sd: Array, model_sd: Array) -> Array:
     """Widened as a fit's is (fit_covariance.published). model_sd: (6,), of the errors of the model in what
     was learned."""
     every = [one for segment in told for one in segment]

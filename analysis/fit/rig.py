@@ -26,8 +26,11 @@ def fitted_rig(machine: Machine, mean: Array) -> Rig:
     )
     theta = dict(zip(PARAMETERS, np.exp(mean[SIX]).tolist(), strict=True))
     roll = nominal_roll(machine)
-    pin, k_f = max(roll.pin + float(mean[AT["roll_pin"]]), 0.0), roll.k_f * math.exp(mean[AT["roll_front"]])
-    theta["sigma_f"] += theta["C_af"] * pin**2 / k_f
+    pivot_height, k_f = (
+        max(roll.pivot_height + float(mean[AT["roll_pin"]]), 0.0),
+        roll.k_f * math.exp(mean[AT["roll_front"]]),
+    )
+    theta["sigma_f"] += theta["C_af"] * pivot_height**2 / k_f
     grip = 1.0 / max(float(mean[AT["curvature"]]), 1e-3)
     return rig_of(machine)._replace(
         **shape, **theta,

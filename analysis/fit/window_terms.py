@@ -29,7 +29,7 @@ class Terms:
     model_sd: Array  # (6,)
 
 
-Told = tuple[Terms, ...]  # of the windows of one segment
+SegmentTerms = tuple[Terms, ...]  # of the windows of one segment
 
 
 def places(machine: Machine) -> NDArray[np.int64]:
@@ -51,7 +51,7 @@ def terms_at(machine: Machine, window: FittedWindow, point: Array) -> Terms:
     here[NOISE] = window.noise
     search = likelihood.search_of(window.record, rig_setup(machine), mean, np.diag(free))
     scoring.leave_out_outliers(search, here)
-    at = likelihood.evaluate(search, here, driven=likelihood.response_to_steering(search, here))
+    at = likelihood.evaluate(search, here, instruments=likelihood.response_to_steering(search, here))
     known, information = likelihood.apart_from_ground(search, at)
     scores = likelihood.scores_at(search, known)
     gradient, _ = likelihood.gradient_and_information(search, known, scores)

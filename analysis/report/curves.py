@@ -80,9 +80,13 @@ def simplified(x: Floats, y: Floats, tolerance: float) -> NDArray[np.intp]:
         if last - first < 2:
             continue
         dx, dy = x[last] - x[first], y[last] - y[first]
-        ahead, aside = x[first + 1 : last] - x[first], y[first + 1 : last] - y[first]
+        ahead, lateral_offset = x[first + 1 : last] - x[first], y[first + 1 : last] - y[first]
         length = math.hypot(dx, dy)
-        off = np.abs(ahead * dy - aside * dx) / length if length > 0 else np.hypot(ahead, aside)
+        off = (
+            np.abs(ahead * dy - lateral_offset * dx) / length
+            if length > 0
+            else np.hypot(ahead, lateral_offset)
+        )
         if off.max() > tolerance:
             middle = first + 1 + int(np.argmax(off))
             keep[middle] = True

@@ -30,7 +30,7 @@ from tilth.analysis.report.wording import METHODS, SYMBOLS, scale_of, unit_of
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import WITHIN, interval
 
-LEAST_ASIDE: Final = 0.25  # of a map's longer side: how narrow a map may become
+LEAST_LATERAL_OFFSET: Final = 0.25  # of a map's longer side: how narrow a map may become
 HIGHEST: Final = 4.8  # in, of a map
 MOST_LABELS: Final = 60  # of segments on a map: more hide what they label
 MOST_OVER_TIME: Final = 30
@@ -83,7 +83,7 @@ def _frame(x: Floats, y: Floats) -> tuple[float, float, tuple[tuple[float, float
         return 2.0, WIDTH, ((0.0, 1.0), (0.0, 1.0))
     low, high = (np.array([fold(y), fold(x)]) for fold in (np.nanmin, np.nanmax))
     middle, half = (low + high) / 2, (high - low) / 2
-    half = np.maximum(half, max(LEAST_ASIDE * float(half.max()), 1.0)) * 1.08
+    half = np.maximum(half, max(LEAST_LATERAL_OFFSET * float(half.max()), 1.0)) * 1.08
     half[1] += 0.08 * half.max()  # room for scale and north
     height = min(WIDTH * half[1] / half[0], HIGHEST)
     width = WIDTH if height < HIGHEST else max(height * half[0] / half[1], WIDTH / 2)

@@ -90,8 +90,8 @@ def response_slope(case: Case, rig: Rig, name: str) -> Response:
     """
     sys = system(case.model, rig, case.speed, outputs=SERIES)
     by = system_slope(case.model, rig, case.speed, SERIES, name)
-    push = np.append(sys.b[:, 0], by.b[:, 0])
-    x, s = _both(sys.a, by.a, push, np.zeros(len(push)), case.wheel)
+    input_gain = np.append(sys.b[:, 0], by.b[:, 0])
+    x, s = _both(sys.a, by.a, input_gain, np.zeros(len(input_gain)), case.wheel)
     series = x @ sys.c.T + np.outer(case.wheel, sys.d[:, 0])
     slope = s @ sys.c.T + x @ by.c.T + np.outer(case.wheel, by.d[:, 0])
     return Response(
@@ -103,11 +103,11 @@ def response_slope(case: Case, rig: Rig, name: str) -> Response:
     )
 
 
-def _both(a: Array, slope: Array, push: Array, start: Array, wheel: Array) -> tuple[Array, Array]:
-    """(x, dx/dln p), each (samples, n), of x' = A x + b w. push: b and its derivative."""
+def _both(a: Array, slope: Array, input_gain: Array, start: Array, wheel: Array) -> tuple[Array, Array]:
+    """(x, dx/dln p), each (samples, n), of x' = A x + b w. input_gain: b and its derivative."""
     n = len(a)
     whole = np.block([[a, np.zeros((n, n))], [slope, a]])
-    states = run_linear(whole, push, start, wheel)
+    states = run_linear(whole, input_gain, start, wheel)
     return states[:, :n], states[:, n:]
 
 

@@ -212,8 +212,8 @@ def off_tracking(rig: Rig, speed: float, v: float, r: float, articulation: float
     angles. The centre lies at (-v/r, u/r) in the tractor's body frame.
     """
     behind = -rig.c - rig.towed_length * math.cos(articulation)
-    aside = rig.towed_length * math.sin(articulation)
-    return (math.hypot(speed, v) - math.hypot(behind * r + v, aside * r - speed)) / abs(r)
+    lateral_offset = rig.towed_length * math.sin(articulation)
+    return (math.hypot(speed, v) - math.hypot(behind * r + v, lateral_offset * r - speed)) / abs(r)
 
 
 def track_error(case: Case, rig: Rig) -> Array:

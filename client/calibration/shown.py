@@ -8,7 +8,7 @@ from tilth.estimator.calibration.priors import NUMBER, Sought
 from tilth.estimator.calibration.receivers import rows
 from tilth.estimator.calibration.stage_words import PARK_S, StageProgress, happening, next_step, progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
-from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD
+from tilth.estimator.calibration.verdict import IDENTIFIED, NOT_IDENTIFIABLE
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.spread import half_alone, plus_minus
@@ -87,7 +87,7 @@ def _text(fold: StageFold, far: Sequence[StageProgress], computed: ComputedSoFar
         return ENOUGH
     if not computed.answer.get("numbers"):
         return f"{ALL_DRIVEN} Wait for the numbers, or go on driving: that makes them better."
-    open_rows = [row for row in computed.answer["numbers"] if row["status"] != TOLD]
+    open_rows = [row for row in computed.answer["numbers"] if row["status"] != IDENTIFIED]
     if not open_rows:
         return f"{ALL_DRIVEN} Look at what the estimate says, and finish when you like."
     first = NUMBER[open_rows[0]["name"]]
@@ -112,7 +112,7 @@ def _left(row: Mapping[str, Any]) -> pb.CalibrationLeft:
 def _number(row: Mapping[str, Any]) -> pb.CalibrationNumber:
     number = NUMBER[row["name"]]
     change = "stays as it is"
-    if row["status"] != NOT_TOLD:
+    if row["status"] != NOT_IDENTIFIABLE:
         sd = row["sd"] / number.per_unit
         change = plus_minus(row["moved"] / number.per_unit, sd, number.unit).removesuffix(" (95 %)")
     return pb.CalibrationNumber(

@@ -74,12 +74,12 @@ def _room(
     if place is None:
         return Condition("room", True, "the field will begin where you arm this run")
     lead, turning = max(now.speed, 0.0) * (plan.countdown_s + 1.0), run.kind == "turn"
-    left = room_left(plan.field, place, now, way.ahead + lead, way.aside, turning)
+    left = room_left(plan.field, place, now, way.ahead + lead, way.lateral_offset, turning)
     if math.isnan(left):
         return Condition("room", False, "where the tractor stands is not known")
     if left < -slack:
         text = f"{-left:.0f} m of room are missing: turn round, or start further back"
-        if room_left(plan.field, place, now, way.ahead + lead - left, way.aside, turning) >= 0.0:
+        if room_left(plan.field, place, now, way.ahead + lead - left, way.lateral_offset, turning) >= 0.0:
             text = f"drive on for {-left:.0f} m, past the headland"
         return Condition("room", False, text)
     return Condition("room", True, f"room ahead, {max(left, 0.0):.0f} m to spare")

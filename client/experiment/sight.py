@@ -107,19 +107,19 @@ def in_plane(place: FieldPlace, origin_deg: tuple[float, float]) -> FieldPlace:
     return FieldPlace(*to_plane(origin_deg, *corner), place.heading, origin_deg)
 
 
-def in_field(place: FieldPlace, seen: Seen, ahead: Array, aside: Array) -> tuple[Array, Array]:
+def in_field(place: FieldPlace, seen: Seen, ahead: Array, lateral_offset: Array) -> tuple[Array, Array]:
     """(along, across), m from the corner, (n,), of points ahead of the tractor and aside, to the right."""
     turned = seen.heading - place.heading
     along, across = rotate((seen.north - place.north, seen.east - place.east), -place.heading)
     cosine, sine = math.cos(turned), math.sin(turned)
-    return along + ahead * cosine - aside * sine, across + ahead * sine + aside * cosine
+    return along + ahead * cosine - lateral_offset * sine, across + ahead * sine + lateral_offset * cosine
 
 
 def room_left(
-    field: Rectangle, place: FieldPlace, seen: Seen, ahead: Array, aside: Array, turning: bool
+    field: Rectangle, place: FieldPlace, seen: Seen, ahead: Array, lateral_offset: Array, turning: bool
 ) -> float:
     """m that the way keeps from the edges, negative where it leaves the field."""
-    return room(field, *in_field(place, seen, ahead, aside), turning)
+    return room(field, *in_field(place, seen, ahead, lateral_offset), turning)
 
 
 def abort_reason(

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
-from tilth.estimator.calibration import first_look, joint, linkage, priors
+from tilth.estimator.calibration import initial_guess, joint, linkage, priors
+from tilth.estimator.calibration.assignment import assign
 from tilth.estimator.calibration.changes import (
     BODY,
     Changes,
@@ -25,7 +26,7 @@ from tilth.estimator.calibration.changes import (
 )
 from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
 from tilth.estimator.calibration.faults import RigFault
-from tilth.estimator.calibration.first_look import Pairs, Straightness
+from tilth.estimator.calibration.initial_guess import DrivingCoverage, Pairs
 from tilth.estimator.calibration.joint import JointFit
 from tilth.estimator.calibration.least_squares import Solved
 from tilth.estimator.calibration.records import FollowedRecords, follow
@@ -38,7 +39,6 @@ from tilth.estimator.calibration.refusals import (
     check_wheel,
 )
 from tilth.estimator.calibration.roll import Rolls, rolls
-from tilth.estimator.calibration.who import standing
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
 from tilth.schemas.flow import Measurement
@@ -66,13 +66,13 @@ class Calibration:
     faults: tuple[RigFault, ...]
     rolls: Rolls
     roll_sd: Array  # rad, (4,)
-    aside_sd: float  # m, of what stands aside on the tractor
+    lateral_offset_sd: float  # m, of what stands aside on the tractor
     hitch_sd: tuple[float, float]  # m, of hitch and drawbar by where the bodies see the hitch
-    late_sd: Array  # s, (3,): of how much later one receiver of a pair is, tractor first; one body
+    delay_sd: Array  # s, (3,): of how much later one receiver of a pair is, tractor first; one body
     speed: float  # m/s, rms: what is late moves things along the way by it
     fit: JointFit
     moved: dict[str, float]  # name of a number -> SI, by how much the file was moved
-    driven: Straightness
+    coverage: DrivingCoverage
     records_s: float
     refused: dict[Code, int]
     hitch_gap: float  # m, sd of the distance between the hitch as seen from either body
@@ -94,7 +94,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         mean, sd = _centred(now, mean, sd, moved)
         start = mean.copy() if fit is None else _from(fit, mean)
         fit = joint.fit(
-            followed.records, rig_setup(now), mean, sd, start, TOLD, _of_fit(progress, k), *STEPS[k]
+            followed.records, rig_setup(now), mean, sd, start, SOUGHT, _of_fit(progress, k), *STEPS[k]
         )
         changes = _taken(machine, changes, fit)
         changes = _by_the_hitch(machine, drive, changes, found_rolls)
@@ -107,12 +107,12 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     changes = replace(changes, ackermann=share - machine.tractor.ackermann.value)
     placed = _placed(drive, changes)
     after = _view(applied(machine, changes), placed, changes, found_rolls)
-    gap = first_look.hitch(after)
+    gap = initial_guess.hitch(after)
     return Calibration(
         changes, applied(machine, changes), tuple(faults), found_rolls,
-        np.maximum(found_rolls.sd, ROLL_FLOOR), _aside_sd(gap.sds[1], fit, machine),
+        np.maximum(found_rolls.sd, ROLL_FLOOR), _lateral_offset_sd(gap.sds[1], fit, machine),
         (float(gap.sds[0]), float(gap.sds[2])), _late_sd(placed, after, gap), _speed(after), fit,
-        _moved(machine, changes), first_look.driven(view), fit.seconds, followed.refused, gap.sd,
+        _moved(machine, changes), initial_guess.coverage(view), fit.seconds, followed.refused, gap.sd,
         looked.curve_sd,
     )  # fmt: skip
 
@@ -143,7 +143,7 @@ def tractor_motion(machine: Machine, measurements: Sequence[Measurement]) -> Tra
         drives.take(heard, measurement)
     check_receivers(machine, heard)
     drive = drives.drive_of(heard, machine)
-    changes = Changes(who=standing(drive, machine).who)
+    changes = Changes(assignment=assign(drive, machine).assignment)
     view = _view(applied(machine, changes), _placed(drive, changes), changes, None)
     t_ns = (heard.first_ns or 0) + np.round(drive.t * 1e9).astype(np.int64)
     base = machine.tractor.a.value + machine.tractor.b.value
@@ -154,7 +154,7 @@ def _by_geometry(
     machine: Machine, drive: DriveGrid, corrected: tuple[bool | None, ...] = AS_STATED
 ) -> tuple[Changes, list[RigFault], Pairs, Rolls, float]:
     """What needs no likelihood, and the sd of the linkage's curvature. corrected: Changes.roll_corrected."""
-    changes, faults, view, found = _first_look(machine, drive, corrected)
+    changes, faults, view, found = _initial_guess(machine, drive, corrected)
     changes, curve_sd = _with_linkage(machine, drive, changes, view, found)
     faults += linkage.kingpin_faults(changes.linkage_before, changes.linkage)
     return changes, faults, view, found, curve_sd
@@ -193,19 +193,20 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
     return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed, curve_sd)
 
 
-TOLD: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
+SOUGHT: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
 ROLL_FLOOR: Final = math.radians(0.05)  # rad: by bench/calibration.py, of bodies that lean
-ASIDE_FLOOR: Final = 0.004
+LATERAL_OFFSET_FLOOR: Final = 0.004
 
 
 def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
     """The same with the receivers in the order of where they stand, signs of turn rates and rolls turned."""
-    who = list(changes.who)
+    assignment = list(changes.assignment)
     signs, turned = np.array(changes.roll_sign), np.array(changes.yaw_rate_sign)
     wheel = np.array([wheel_after(angle, changes) for angle in drive.wheel.tolist()])
     return replace(
-        drive, at=drive.at[:, who], velocity=drive.velocity[:, who], roll=drive.roll[:, who] * signs,
-        yaw_rate=drive.yaw_rate[:, who] * turned, wheel=wheel, pitch=drive.pitch[:, who],
+        drive, at=drive.at[:, assignment], velocity=drive.velocity[:, assignment],
+        roll=drive.roll[:, assignment] * signs,
+        yaw_rate=drive.yaw_rate[:, assignment] * turned, wheel=wheel, pitch=drive.pitch[:, assignment],
     )  # fmt: skip
 
 
@@ -215,31 +216,31 @@ def _view(now: Machine, placed: DriveGrid, changes: Changes, found: Rolls | None
     if found is not None:
         for body in range(2):
             both = placed.roll[:, 2 * body : 2 * body + 2] - found.zero[2 * body : 2 * body + 2]
-            roll[:, body] = first_look.mean_of_known(both)
-    return first_look.seen(placed, now, roll, changes.late)
+            roll[:, body] = initial_guess.mean_of_known(both)
+    return initial_guess.seen(placed, now, roll, changes.delay)
 
 
-def _first_look(
+def _initial_guess(
     machine: Machine, drive: DriveGrid, corrected: tuple[bool | None, ...] = AS_STATED
 ) -> tuple[Changes, list[RigFault], Pairs, Rolls]:
-    stands = standing(drive, machine)
+    stands = assign(drive, machine)
     own = linkage_of(machine)
-    changes = Changes(who=stands.who, linkage_before=own, linkage=own, roll_corrected=corrected)
-    faults = finding.standing_faults(stands.who) if stands.sure else []
+    changes = Changes(assignment=stands.assignment, linkage_before=own, linkage=own, roll_corrected=corrected)
+    faults = finding.assignment_faults(stands.assignment) if stands.sure else []
     placed = _placed(drive, changes)
     view = _view(applied(machine, changes), placed, changes, None)
     if (
-        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > first_look.MOVING)) * drives.STEP_S
-        < first_look.LEAST_DRIVEN_S
+        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > initial_guess.MOVING)) * drives.STEP_S
+        < initial_guess.LEAST_DRIVEN_S
     ):
         raise CannotCalibrate(
             "the four receivers were heard together for less than a minute of driving; drive what "
             "docs/calibrate.md lists, with RTK"
         )
-    changes = replace(changes, late=first_look.latency_differences(placed, view)[0])
+    changes = replace(changes, delay=initial_guess.latency_differences(placed, view)[0])
     for _ in range(LOOKS - 1):
         view = _view(applied(machine, changes), placed, changes, None)
-        changes = _between_bodies(changes, first_look.hitch(view))
+        changes = _between_bodies(changes, initial_guess.hitch(view))
     view = _view(applied(machine, changes), placed, changes, None)
     signs, wrong = finding.yaw_rate_signs(view)
     found_rolls = rolls(placed, view)
@@ -253,16 +254,18 @@ def _first_look(
     check_lengths(changes.longer)
     view = _view(applied(machine, changes), placed, changes, found_rolls)
     base = machine.tractor.a.value + machine.tractor.b.value
-    told, share = first_look.wheel_by_the_way(view, base, view.rate[:, 0])
+    told, share = initial_guess.wheel_by_the_way(view, base, view.rate[:, 0])
     wheel_faults = finding.wheel_faults(told, share)
     faults += wheel_faults
     if any(fault.kind == finding.WHEEL_UNREAD for fault in wheel_faults):
-        check_turned(first_look.driven(view))
+        check_turned(initial_guess.coverage(view))
         raise CannotCalibrate(wheel_faults[0].text, faults)
     gain = float(told.value[1])
     changes = replace(
         changes, wheel_sign=1 if gain > 0 else -1, wheel_zero=float(told.value[0]), wheel_gain=abs(gain),
-        late=not_early(machine, changes.who, changes.late + first_look.common_latency(view, base, told)),
+        delay=not_early(
+            machine, changes.assignment, changes.delay + initial_guess.common_latency(view, base, told)
+        ),
     )  # fmt: skip
     return changes, faults, view, found_rolls
 
@@ -272,7 +275,7 @@ def _with_linkage(
 ) -> tuple[Changes, float]:
     """With the kingpin and the curvature of the wheel sensor's linkage, and the sd of that."""
     now = applied(machine, changes)
-    seen = first_look.hitch(_view(now, _placed(drive, changes), changes, found))
+    seen = initial_guess.hitch(_view(now, _placed(drive, changes), changes, found))
     told = linkage.find(machine, changes, view, (float(_middles(now)[0, 1]), float(seen.sds[1])))
     if told.wheel is not None:
         zero, gain = told.wheel
@@ -281,9 +284,9 @@ def _with_linkage(
 
 
 def _between_bodies(changes: Changes, seen: Solved) -> Changes:
-    """seen: as first_look.hitch gives it."""
-    late = float(seen.value[4]) if seen.sds[4] < first_look.LATE_TOLD else 0.0
-    return replace(changes, late=changes.late + late * np.array([-0.5, -0.5, 0.5, 0.5]))
+    """seen: as initial_guess.hitch gives it."""
+    delay = float(seen.value[4]) if seen.sds[4] < initial_guess.IDENTIFIED_DELAY_SD else 0.0
+    return replace(changes, delay=changes.delay + delay * np.array([-0.5, -0.5, 0.5, 0.5]))
 
 
 def _middles(machine: Machine) -> Array:
@@ -297,7 +300,7 @@ def _geometry(machine: Machine, placed: DriveGrid, changes: Changes, found: Roll
     for _ in range(2):
         now = applied(machine, changes)
         view = _view(now, placed, changes, found)
-        crabs = [first_look.crab(view, body) for body in range(2)]
+        crabs = [initial_guess.crab(view, body) for body in range(2)]
         lengths = np.array([_length(now, body) for body in range(2)])
         longer = np.nan_to_num(np.nanmedian(view.lengths[view.known], axis=0) - lengths)
         axle = np.array([now.tractor.b.value, now.implement.e.value])
@@ -308,7 +311,7 @@ def _geometry(machine: Machine, placed: DriveGrid, changes: Changes, found: Roll
             changes, pair=changes.pair + yaw, longer=changes.longer + longer, forward=changes.forward + ahead
         )
     now = applied(machine, changes)
-    told = first_look.hitch(_view(now, placed, changes, found))
+    told = initial_guess.hitch(_view(now, placed, changes, found))
     middles = _middles(now)
     c, d = -told.value[0] - middles[0, 0], told.value[2] + middles[1, 0]
     known = told.sds[[0, 2]] < 0.1
@@ -325,14 +328,14 @@ def _by_the_hitch(
     The implement's go along aside: the likelihood knows them relative to the tractor's.
     """
     now = applied(machine, changes)
-    told = first_look.hitch(_view(now, drive if placed else _placed(drive, changes), changes, found))
+    told = initial_guess.hitch(_view(now, drive if placed else _placed(drive, changes), changes, found))
     changes = _between_bodies(changes, told)
     if told.sds[1] > 0.05:
         return changes
     right = -told.value[[1, 3]] - _middles(now)[:, 1]
     if placed:
-        return replace(changes, aside=changes.aside + right)
-    return replace(changes, aside=changes.aside + right[0])
+        return replace(changes, lateral_offset=changes.lateral_offset + right)
+    return replace(changes, lateral_offset=changes.lateral_offset + right[0])
 
 
 def _length(machine: Machine, body: int) -> float:
@@ -374,10 +377,10 @@ def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
     changes = further_wheel(changes, by["wheel_zero"], by["wheel_gain"])
     return replace(
         changes,
-        late=not_early(machine, changes.who, changes.late + by["latency"]),
+        delay=not_early(machine, changes.assignment, changes.delay + by["latency"]),
         pair=changes.pair + np.array([by["pair_t"], by["pair_i"]]),
         forward=changes.forward + np.array([by["lever_t"], by["lever_i"]]),
-        aside=changes.aside + np.array([0.0, by["aside_i"]]),
+        lateral_offset=changes.lateral_offset + np.array([0.0, by["aside_i"]]),
         hitch=changes.hitch + np.array([by["c"], by["d"]]),
     )
 
@@ -386,13 +389,13 @@ def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
     """Name of a number -> by how much the changes move the file, SI."""
     gain = changes.wheel_gain
     found = {
-        "pair_t": changes.pair[0], "pair_i": changes.pair[1], "aside_t": changes.aside[0],
-        "aside_i": changes.aside[1] - changes.aside[0], "lever_t": changes.forward[0],
+        "pair_t": changes.pair[0], "pair_i": changes.pair[1], "aside_t": changes.lateral_offset[0],
+        "aside_i": changes.lateral_offset[1] - changes.lateral_offset[0], "lever_t": changes.forward[0],
         "lever_i": changes.forward[1], "c": changes.hitch[0], "d": changes.hitch[1],
         "wheel_zero": changes.wheel_sign * changes.wheel_zero / gain, "wheel_gain": math.log(gain),
         "ackermann": changes.ackermann,
         "wheel_curve": changes.linkage.curve - changes.linkage_before.curve,
-        "latency": float(np.mean(changes.late)),
+        "latency": float(np.mean(changes.delay)),
     }  # fmt: skip
     found |= {f"roll_zero_{mount.value}": changes.roll_zero[k] for k, mount in enumerate(MOUNTS)}
     return {name: float(value) for name, value in found.items()}
@@ -406,18 +409,20 @@ def _largest(fit: JointFit) -> float:
 
 def _late_sd(placed: DriveGrid, view: Pairs, gap: Solved) -> Array:
     between = float(gap.sds[4])
-    pairs = first_look.latency_differences(placed, view)[1]
-    return np.array([*pairs, between if between < first_look.LATE_TOLD else first_look.LATE_SD])
+    pairs = initial_guess.latency_differences(placed, view)[1]
+    return np.array(
+        [*pairs, between if between < initial_guess.IDENTIFIED_DELAY_SD else initial_guess.DELAY_SD]
+    )
 
 
 def _speed(view: Pairs) -> float:
     return math.sqrt(float(np.mean(view.along[view.known, 0] ** 2)))
 
 
-def _aside_sd(seen_sd: float, fit: JointFit, machine: Machine) -> float:
+def _lateral_offset_sd(seen_sd: float, fit: JointFit, machine: Machine) -> float:
     turned = math.sqrt(float(fit.covariance[AT["pair_t"], AT["pair_t"]]))
     reach = machine.tractor.c.value + abs(_middles(machine)[0, 0])
-    return math.hypot(seen_sd, turned * reach, ASIDE_FLOOR)
+    return math.hypot(seen_sd, turned * reach, LATERAL_OFFSET_FLOOR)
 
 
 assert NAMES[SHAPE] == NAMES[AT["a"] : AT["I_i"] + 1]

@@ -54,10 +54,10 @@ def _kingpin_keys(machine: Machine, kingpin: str) -> dict[str, Any]:
 class Changes:
     """Relative to the file as it was read. Receivers in the order of flow.Mount, bodies tractor first."""
 
-    who: tuple[int, ...] = (0, 1, 2, 3)  # which receiver of the file stands at each place
-    late: Array = field(default_factory=lambda: np.zeros(4))  # s, of the receiver at each place
+    assignment: tuple[int, ...] = (0, 1, 2, 3)  # which receiver of the file stands at each place
+    delay: Array = field(default_factory=lambda: np.zeros(4))  # s, of the receiver at each place
     forward: Array = field(default_factory=lambda: np.zeros(2))  # m, of both receivers of a body
-    aside: Array = field(default_factory=lambda: np.zeros(2))  # m, to the right
+    lateral_offset: Array = field(default_factory=lambda: np.zeros(2))  # m, to the right
     pair: Array = field(default_factory=lambda: np.zeros(2))  # rad, clockwise about the middle of a pair
     longer: Array = field(default_factory=lambda: np.zeros(2))  # m, from rear to front receiver
     hitch: Array = field(default_factory=lambda: np.zeros(2))  # m, on tractor.c and implement.d
@@ -78,9 +78,9 @@ def heard_after(measurement: Measurement, changes: Changes) -> Measurement:
     if isinstance(measurement, WheelAngle):
         return replace(measurement, angle=wheel_after(measurement.angle, changes))
     mount = measurement.origin.mount
-    if mount is None or changes.who == (0, 1, 2, 3):
+    if mount is None or changes.assignment == (0, 1, 2, 3):
         return measurement
-    stands = MOUNTS[changes.who.index(MOUNTS.index(mount))]
+    stands = MOUNTS[changes.assignment.index(MOUNTS.index(mount))]
     return replace(measurement, origin=replace(measurement.origin, mount=stands))
 
 
@@ -107,7 +107,7 @@ def applied(machine: Machine, changes: Changes) -> Machine:
     by_mount = {r.mount: r for r in machine.receiver}
     receivers = []
     for k, mount in enumerate(MOUNTS):
-        there, device = by_mount.get(mount), by_mount.get(MOUNTS[changes.who[k]])
+        there, device = by_mount.get(mount), by_mount.get(MOUNTS[changes.assignment[k]])
         if there is not None and device is not None:
             receivers.append(_receiver(machine, changes, k, there, device))
     tractor, implement = machine.tractor, machine.implement
@@ -131,12 +131,14 @@ def applied(machine: Machine, changes: Changes) -> Machine:
     )
 
 
-def not_early(machine: Machine, who: tuple[int, ...], late: Array) -> Array:
+def not_early(machine: Machine, assignment: tuple[int, ...], delay: Array) -> Array:
     """Changes of the latencies, (4,), s, raised together where one would make a latency shorter than can be:
-    cut off there, what is known of their differences would be lost. who: as in Changes."""
+    cut off there, what is known of their differences would be lost. assignment: as in Changes."""
     stated = {r.mount: r.latency.value for r in machine.receiver}
-    least = min(stated.get(MOUNTS[device], 0.0) + by for device, by in zip(who, late.tolist(), strict=True))
-    return np.asarray(late + max(SHORTEST_LATENCY_S - least, 0.0))
+    least = min(
+        stated.get(MOUNTS[device], 0.0) + by for device, by in zip(assignment, delay.tolist(), strict=True)
+    )
+    return np.asarray(delay + max(SHORTEST_LATENCY_S - least, 0.0))
 
 
 def _moved(quantity: Quantity, by: float) -> Quantity:
@@ -153,15 +155,15 @@ def _receiver(machine: Machine, changes: Changes, k: int, there: Receiver, devic
     stretched = arm * (1.0 + changes.longer[body] / (2.0 * length)) if length > 0.0 else arm
     cosine, sine = math.cos(changes.pair[body]), math.sin(changes.pair[body])
     turned = np.array([[cosine, -sine], [sine, cosine]]) @ stretched
-    forward, right = middle + turned + [changes.forward[body], changes.aside[body]]
-    late = max(device.latency.value + float(changes.late[k]), SHORTEST_LATENCY_S)
+    forward, right = middle + turned + [changes.forward[body], changes.lateral_offset[body]]
+    delay = max(device.latency.value + float(changes.delay[k]), SHORTEST_LATENCY_S)
     zero = device.roll_zero or Quantity(value=0.0, sd=math.degrees(0.01))
     sign = changes.roll_sign[k]
     at_level = sign * zero.value + math.degrees(changes.roll_zero[k])
     update: dict[str, Any] = {
         "mount": there.mount,
         "position": (float(forward), float(right), there.position[2]),
-        "latency": Quantity(value=late, sd=device.latency.sd),
+        "latency": Quantity(value=delay, sd=device.latency.sd),
         "roll_sign": sign * device.roll_sign,
         "yaw_rate_sign": changes.yaw_rate_sign[k] * device.yaw_rate_sign,
     }

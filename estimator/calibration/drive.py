@@ -114,7 +114,7 @@ class DriveGrid:
 
 def drive_of(heard: MeasuredLists, machine: Machine) -> DriveGrid:
     """On the grid. Without a position at all it has no instant."""
-    late = {r.mount: r.latency.value for r in machine.receiver}
+    delay = {r.mount: r.latency.value for r in machine.receiver}
     by_mount = {r.mount: r for r in machine.receiver}
     starts = [rows[0][0] for rows in heard.positions if rows]
     ends = [rows[-1][0] for rows in heard.positions if rows]
@@ -124,7 +124,7 @@ def drive_of(heard: MeasuredLists, machine: Machine) -> DriveGrid:
     at, velocity = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
     yaw_rate, roll, pitch = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     for k, mount in enumerate(MOUNTS):
-        then: Array = t + late.get(mount, 0.0)
+        then: Array = t + delay.get(mount, 0.0)
         for axis in range(2):
             at[:, k, axis] = _between(heard.positions[k], 1 + axis, then)
             velocity[:, k, axis] = _between(heard.velocities[k], 1 + axis, then)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.changes import BODIES, BODY, Changes
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.first_look import Pairs
+from tilth.estimator.calibration.initial_guess import Pairs
 from tilth.estimator.calibration.least_squares import Solved
 from tilth.schemas.flow import Flag, FlagKind
 
@@ -33,11 +33,11 @@ class RigFault:
     text: str  # what was found, and what to do or what was changed
 
 
-def standing_faults(who: tuple[int, ...]) -> list[RigFault]:
-    """Of receivers that stand elsewhere than the file says. who: as Changes.who."""
+def assignment_faults(assignment: tuple[int, ...]) -> list[RigFault]:
+    """Of receivers that stand elsewhere than the file says. assignment: as Changes.assignment."""
     found = []
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
-        if (who[front], who[rear]) == (rear, front):
+        if (assignment[front], assignment[rear]) == (rear, front):
             found.append(
                 RigFault(
                     REVERSED, BODIES[body],
@@ -45,8 +45,8 @@ def standing_faults(who: tuple[int, ...]) -> list[RigFault]:
                     "drives behind; mount and position are exchanged in the file",
                 )
             )  # fmt: skip
-    if {BODY[k] for k in who[:2]} != {0}:
-        moved = [f"{MOUNTS[who[k]]} stands at {MOUNTS[k]}" for k in range(4) if who[k] != k]
+    if {BODY[k] for k in assignment[:2]} != {0}:
+        moved = [f"{MOUNTS[assignment[k]]} stands at {MOUNTS[k]}" for k in range(4) if assignment[k] != k]
         found.append(
             RigFault(
                 SWAPPED, "receiver",
@@ -86,7 +86,7 @@ def roll_sign_faults(signs: tuple[int, ...]) -> list[RigFault]:
 
 
 def wheel_faults(found: Solved, explained: float) -> list[RigFault]:
-    """Of first_look.wheel and first_look.explained."""
+    """Of initial_guess.wheel and initial_guess.explained."""
     gain = float(found.value[1])
     if explained < EXPLAINED:
         text = (

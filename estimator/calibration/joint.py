@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.calibration.left_over import LeftOver, left_over, squares_of
+from tilth.estimator.calibration.residuals import KindResiduals, residuals, squares_of
 from tilth.estimator.filters import fit_covariance, likelihood, scoring, unknowns
 from tilth.estimator.filters.likelihood import Iterate, Search
 from tilth.estimator.filters.rig_setup import RigSetup
@@ -52,7 +52,7 @@ class JointFit:
     outliers: int
     whiteness: float  # autocorrelation of innovations at lag one
     residual: float  # rms of the innovations over their sds
-    left: tuple[LeftOver, ...]  # the same by kind of measurement, over the stated noise
+    left: tuple[KindResiduals, ...]  # the same by kind of measurement, over the stated noise
     steps: int
     settled: bool
 
@@ -213,7 +213,7 @@ def _result(
         point, whole, mean, sd, halves,
         sum(len(s.record.ticks) for s in searches) * 0.02, len(z),
         int(sum(np.sum(s.used == 0.0) for s in searches)), white, float(np.sqrt(np.mean(z**2))),
-        left_over(squares_of(kinds, z), point), steps, settled,
+        residuals(squares_of(kinds, z), point), steps, settled,
     )  # fmt: skip
 
 

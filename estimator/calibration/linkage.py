@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tilth.estimator.calibration.changes import Changes, Linkage, linkage_of
 from tilth.estimator.calibration.drive import STEP_S
 from tilth.estimator.calibration.faults import RigFault
-from tilth.estimator.calibration.first_look import MOVING, SLOW, Pairs
+from tilth.estimator.calibration.initial_guess import MOVING, SLOW, Pairs
 from tilth.estimator.calibration.least_squares import solve
 from tilth.schemas.machine import Machine
 from tilth.schemas.wheel_angle import linkage_reading
@@ -41,12 +41,15 @@ class LinkageFound(NamedTuple):
     wheel: tuple[float, float] | None = None  # zero, rad, and gain of Changes that go with it
 
 
-def find(machine: Machine, changes: Changes, view: Pairs, aside: tuple[float, float]) -> LinkageFound:
-    """machine: as it was read. view: with the file's own wheel angle. aside: of the tractor's middle from its
+def find(
+    machine: Machine, changes: Changes, view: Pairs, lateral_offset: tuple[float, float]
+) -> LinkageFound:
+    """machine: as it was read. view: with the file's own wheel angle. lateral_offset: of the tractor's
+    middle from its
     middle line, after the changes, and its sd, m: it makes one side slower than the other."""
     own = changes.linkage_before
     base = machine.tractor.a.value + machine.tractor.b.value
-    u = view.along[:, 0] + view.rate[:, 0] * aside[0]
+    u = view.along[:, 0] + view.rate[:, 0] * lateral_offset[0]
     rows = _steady(view) & (u > MOVING) & (u < SLOW) & np.isfinite(view.wheel)
     if np.count_nonzero(rows) < FEWEST:
         return LinkageFound(own, CURVE_SD)
@@ -58,7 +61,9 @@ def find(machine: Machine, changes: Changes, view: Pairs, aside: tuple[float, fl
     found = []
     for place in PLACES:
         tried = linkage_of(machine, place)
-        curve, sd, zero, gain = _curve(np.array(read), angle, u * r, tried.ackermann, aside[1] / base)
+        curve, sd, zero, gain = _curve(
+            np.array(read), angle, u * r, tried.ackermann, lateral_offset[1] / base
+        )
         penalty = curve**2 / (CURVE_SD**2 + sd**2) + (CLEARLY if place != own.kingpin else 0.0)
         found.append((penalty, tried, curve, sd, (changes.wheel_sign * zero, gain)))
     _, best, curve, sd, wheel = min(found, key=lambda one: one[0])
@@ -68,7 +73,7 @@ def find(machine: Machine, changes: Changes, view: Pairs, aside: tuple[float, fl
 
 
 def _curve(
-    read: Array, angle: Array, pull: Array, ackermann: float, aside_share: float
+    read: Array, angle: Array, pull: Array, ackermann: float, lateral_offset_share: float
 ) -> tuple[float, float, float, float]:
     """(curve, its sd, zero, gain) by the readings of a sensor on that kingpin, without the prior. Of a wheel
     at a the sensor reads zero + gain (a - curve a^2), nearly."""
@@ -82,7 +87,7 @@ def _curve(
         per = max(abs(gain), 1e-6)
         curve = min(max(curve + float(told.value[3]) / per, -LARGEST), LARGEST)
         sd = float(told.sds[3]) / per
-    return curve, math.hypot(sd, FLOOR, aside_share), zero, gain
+    return curve, math.hypot(sd, FLOOR, lateral_offset_share), zero, gain
 
 
 LARGEST: Final = 0.3  # 1/rad, as in schemas/limits.py

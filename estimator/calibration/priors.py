@@ -21,7 +21,7 @@ GAIN_SD: Final = 0.15
 LATENCY_SD: Final = 0.10  # s: 0 to 200 ms
 ACKERMANN_SD: Final = 0.3
 HITCH_SD: Final = 0.20  # m, of hitch and drawbar
-TOLD: Final = 0.5  # of the prior sd: a larger sd says that the drive tells nothing of a number
+IDENTIFIABLE: Final = 0.5  # of the prior sd: a larger sd says that the drive tells nothing of a number
 
 DEG: Final = math.degrees(1.0)
 CURVED: Final = DEG * math.radians(30.0) ** 2  # ° at 30° per 1/rad

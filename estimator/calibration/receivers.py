@@ -120,9 +120,9 @@ class ReceiverRow(NamedTuple):
         still = "no standstill"
         if self.jitter is not None:
             still = f"jitter {self.jitter * 1e3:.0f} mm at standstill"
-        late = f"latency {self.latency * 1e3:.0f} ms"
-        late += " by the file" if self.latency == self.stated else f", {self.stated * 1e3:.0f} by the file"
-        return f"{place}: {name}address {self.source} on {self.bus}, {rate}, {still}, {late}"
+        delay = f"latency {self.latency * 1e3:.0f} ms"
+        delay += " by the file" if self.latency == self.stated else f", {self.stated * 1e3:.0f} by the file"
+        return f"{place}: {name}address {self.source} on {self.bus}, {rate}, {still}, {delay}"
 
 
 def rows(
@@ -130,12 +130,12 @@ def rows(
 ) -> tuple[ReceiverRow, ...]:
     """machine: that the measurements were made with. places: mount in it -> where the receiver stands, as far
     as it is another one. found: with the latencies that the drive told."""
-    late = {r.mount.value: r.latency.value for r in (found or machine).receiver}
+    delay = {r.mount.value: r.latency.value for r in (found or machine).receiver}
     made = []
     for receiver in machine.receiver:
         mount = receiver.mount.value
         stands, one = places.get(mount, mount), heard.by_mount.get(receiver.mount)
-        row = ReceiverRow(stands, receiver.bus, None, "", None, None, late[stands], receiver.latency.value)
+        row = ReceiverRow(stands, receiver.bus, None, "", None, None, delay[stands], receiver.latency.value)
         if one is not None:
             name = "" if one.origin.name is None else f"{one.origin.name:016X}"
             row = row._replace(source=one.origin.source, name=name, per_s=one.per_s, jitter=one.jitter)

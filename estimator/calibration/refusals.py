@@ -11,7 +11,7 @@ from tilth.estimator.calibration import faults as finding
 from tilth.estimator.calibration.changes import BODIES
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
-from tilth.estimator.calibration.first_look import Straightness
+from tilth.estimator.calibration.initial_guess import DrivingCoverage
 from tilth.estimator.calibration.records import FollowedRecords
 from tilth.schemas.flow import FixType
 from tilth.schemas.machine import Machine
@@ -101,8 +101,8 @@ def check_lengths(longer: NDArray[np.float64]) -> None:
             )
 
 
-def check_turned(driven: Straightness) -> None:
-    if driven.left + driven.right < LEAST_TURNED_S:
+def check_turned(coverage: DrivingCoverage) -> None:
+    if coverage.left + coverage.right < LEAST_TURNED_S:
         raise CannotCalibrate(
             "the drive has rows only: without turns nothing is told of wheel, levers, hitch and drawbar; "
             "drive slow circles to both sides"

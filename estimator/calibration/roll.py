@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.changes import BODY
 from tilth.estimator.calibration.drive import DriveGrid
-from tilth.estimator.calibration.first_look import Pairs
+from tilth.estimator.calibration.initial_guess import Pairs
 from tilth.estimator.calibration.least_squares import solve
 
 Array = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration import receivers
-from tilth.estimator.calibration.first_look import CRUISE, FOLDED, MOVING, SLOW, STRAIGHT
+from tilth.estimator.calibration.initial_guess import CRUISE, FOLDED, MOVING, SLOW, STRAIGHT
 from tilth.estimator.calibration.receivers import STANDING, HeardReceivers
 from tilth.estimator.pose.geometry import to_plane
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle

@@ -40,7 +40,7 @@ APART_S: Final = 0.0195  # between the wheel angles that are used
 BEGINS_S: Final = 0.05  # on either side of the beginning, over which its wheel angle is a mean
 FOLLOWS: Final = 0.7  # share of the wheels' motion that the commands explain, at least
 SLOW_TIMES: Final = (0.05, 0.15, 0.4, 1.0)  # s: where a search begins
-LATE_TIMES: Final = (0.0, 0.15, 0.3, 0.5)
+DEAD_TIMES: Final = (0.0, 0.15, 0.3, 0.5)
 SHARES: Final = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # of the largest rate without a limit: limits to try
 LIMITED: Final = 12.0  # by so much more likely (twice the logarithm) there is a limit
 LAGS_SEEN: Final = 12  # samples: by these noise that lasts is told from what a limit does
@@ -101,12 +101,14 @@ class SteeringResponse:
     @property
     def words(self) -> str:
         """For a driver."""
-        late = _bare(max(self.dead_time, 0.0), self.dead_time_sd, "s")
+        dead_time = _bare(max(self.dead_time, 0.0), self.dead_time_sd, "s")
         slow = _bare(self.time_constant, self.time_constant_sd, "s")
         rate = _bare(math.degrees(self.rate), math.degrees(self.rate_sd), "°/s")
         most = f"at most {rate}" if self.limited else f"fastest seen {rate}"
         turned = "" if self.gain > 0.0 else " Its commands and the wheel angle have opposite signs."
-        return f"Steering follows its commands after {late}, time constant {slow}, {most} (95 %).{turned}"
+        return (
+            f"Steering follows its commands after {dead_time}, time constant {slow}, {most} (95 %).{turned}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +153,10 @@ def _told(found: Sequence[_Stretch], free: Array) -> SteeringResponse | str:
     at = free if limit is None else limit
     covariance = _covariance(found, at)
     sds = np.sqrt(np.diag(covariance))
-    late, slow = float(at[0]), float(at[1])
-    if late > 0.99 * HIGH[0] or slow > 0.99 * HIGH[1]:
+    dead_time, slow = float(at[0]), float(at[1])
+    if dead_time > 0.99 * HIGH[0] or slow > 0.99 * HIGH[1]:
         return NOT_FOLLOWED
-    if late + 3.0 * float(sds[0]) < 0.0 or late + slow < AT_ONCE_S:
+    if dead_time + 3.0 * float(sds[0]) < 0.0 or dead_time + slow < AT_ONCE_S:
         return AFTERWARDS
     if WITHIN * float(max(sds[0], sds[1])) > TOLD_S:
         return TOO_GENTLE
@@ -166,7 +168,7 @@ def _told(found: Sequence[_Stretch], free: Array) -> SteeringResponse | str:
         apart = (fastest - lowest) / 2  # a limit may be there that shows too little
         rate, rate_sd = fastest - apart, math.hypot(math.sqrt(float(slope @ covariance @ slope)), apart)
     return SteeringResponse(
-        late, float(sds[0]), slow, float(sds[1]), rate, rate_sd, limit is not None, float(at[2]),
+        dead_time, float(sds[0]), slow, float(sds[1]), rate, rate_sd, limit is not None, float(at[2]),
         sum(map(_seconds, found)), _explained(found, at),
     )  # fmt: skip
 
@@ -213,10 +215,10 @@ def _response(one: _Stretch, at: Array) -> tuple[Array, float]:
 
     Exact: between two commands they turn at the limit until what is missing is T R, and then exponentially.
     """
-    late, slow, gain, zero = at[:4].tolist()
+    dead_time, slow, gain, zero = at[:4].tolist()
     limit = float(at[4]) if len(at) > 4 else math.inf
-    first = max(int(np.searchsorted(one.order_t, -late, "right")) - 1, 0)
-    starts = np.maximum(one.order_t[first:] + late, 0.0)
+    first = max(int(np.searchsorted(one.order_t, -dead_time, "right")) - 1, 0)
+    starts = np.maximum(one.order_t[first:] + dead_time, 0.0)
     wanted = zero + gain * one.order[first:]
     missing, y, near = np.empty(len(starts)), one.y0, slow * limit
     for i, (target, lasts) in enumerate(zip(wanted.tolist(), [*np.diff(starts).tolist(), 0.0], strict=True)):
@@ -257,9 +259,9 @@ def _start(found: Sequence[_Stretch]) -> Array:
     """L, T, g and z, coarsely."""
     y = np.concatenate([one.y for one in found])
     best, least = np.array([0.1, 0.3, 1.0, 0.0]), math.inf
-    for late in LATE_TIMES:
+    for dead_time in DEAD_TIMES:
         for slow in SLOW_TIMES:
-            plain = np.array([late, slow, 1.0, 0.0])
+            plain = np.array([dead_time, slow, 1.0, 0.0])
             shape = np.concatenate(
                 [_response(replace(one, y0=float(one.order[0])), plain)[0] for one in found]
             )
@@ -267,7 +269,7 @@ def _start(found: Sequence[_Stretch]) -> Array:
             told = np.linalg.lstsq(design, y, rcond=None)[0]
             size = float(np.sum((design @ told - y) ** 2))
             if size < least:
-                best, least = np.array([late, slow, *told.tolist()]), size
+                best, least = np.array([dead_time, slow, *told.tolist()]), size
     return best
 
 

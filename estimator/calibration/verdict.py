@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from tilth.estimator.calibration import priors
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.first_look import LATE_SD, Straightness
+from tilth.estimator.calibration.initial_guess import DELAY_SD, DrivingCoverage
 from tilth.estimator.calibration.joint import Half
 from tilth.estimator.calibration.priors import BY_LIKELIHOOD, NUMBERS, Sought
 from tilth.estimator.filters.unknowns import AT, SIX
@@ -22,7 +22,7 @@ from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-TOLD, ROUGH, NOT_TOLD = "told", "rough", "not told"
+IDENTIFIED, WEAKLY_IDENTIFIED, NOT_IDENTIFIABLE = "told", "rough", "not told"
 FLOOR: Final = {
     "pair_t": math.radians(0.05), "pair_i": math.radians(0.05), "lever_t": 0.014, "lever_i": 0.010,
     "aside_i": 0.004, "aside_t": 0.004, "c": 0.008, "d": 0.008, "wheel_zero": math.radians(0.015),
@@ -41,7 +41,7 @@ DISAGREE: Final = 0.01  # p of the halves' difference, of one number
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class NumberVerdict:
     """One number. SI; `moved` is on top of what the file said."""
 
     number: Sought
@@ -54,7 +54,7 @@ class Told:
     @property
     def why_not(self) -> str:
         """What would tell it better, "" where it is told."""
-        if self.status == TOLD:
+        if self.status == IDENTIFIED:
             return ""
         tape = "" if self.number.tape == "none" else f"; or {self.number.tape}"
         return f"{self.number.drive}{tape}"
@@ -64,7 +64,7 @@ class Told:
 class RigVerdict:
     """Of a calibration."""
 
-    told: tuple[Told, ...]
+    numbers: tuple[NumberVerdict, ...]
     chi2: float  # of all halves that can be compared
     dof: int
     p: float
@@ -76,18 +76,18 @@ class RigVerdict:
     @property
     def good(self) -> bool:
         """Whether every number is told as well as wanted, and the halves agree."""
-        return all(one.status == TOLD for one in self.told) and self.p >= DISAGREE
+        return all(one.status == IDENTIFIED for one in self.numbers) and self.p >= DISAGREE
 
 
 def verdict(machine: Machine, found: Calibration) -> RigVerdict:
     """machine: as it was read."""
     further = _not_in_the_fit(found)
-    told = tuple(_told(found, number, further) for number in NUMBERS if _heard(found, number))
-    zs = [_z(one, found) for one in told if one.halves is not None]
+    numbers = tuple(_number_verdict(found, number, further) for number in NUMBERS if _heard(found, number))
+    zs = [_z(one, found) for one in numbers if one.halves is not None]
     chi2, dof = float(sum(z * z for z in zs)), len(zs)
     p = float(chdtrc(dof, chi2)) if dof else 1.0
-    soil = soil_cost(found.fit.covariance, found.machine, told)
-    return RigVerdict(told, chi2, dof, p, soil, tuple(_sentences(told, p, found)))
+    soil = soil_cost(found.fit.covariance, found.machine, numbers)
+    return RigVerdict(numbers, chi2, dof, p, soil, tuple(_sentences(numbers, p, found)))
 
 
 def _heard(found: Calibration, number: Sought) -> bool:
@@ -96,7 +96,7 @@ def _heard(found: Calibration, number: Sought) -> bool:
     return place not in names or found.rolls.heard[names.index(place)]
 
 
-def _told(found: Calibration, number: Sought, further: Mapping[str, float]) -> Told:
+def _number_verdict(found: Calibration, number: Sought, further: Mapping[str, float]) -> NumberVerdict:
     """further: as _not_in_the_fit gives it."""
     name, fit = number.name, found.fit
     moved, halves, p = found.moved[name], None, None
@@ -109,7 +109,7 @@ def _told(found: Calibration, number: Sought, further: Mapping[str, float]) -> T
             halves = (float(one), float(other))
             p = math.erfc(abs(_difference(fit.halves, k)) / math.sqrt(2.0))
     elif name == "aside_t":
-        sd = math.hypot(found.aside_sd, FLOOR[name])
+        sd = math.hypot(found.lateral_offset_sd, FLOOR[name])
     elif name == "wheel_curve":
         sd = found.curve_sd
     elif name == "ackermann":
@@ -117,8 +117,14 @@ def _told(found: Calibration, number: Sought, further: Mapping[str, float]) -> T
         sd = math.hypot(math.sqrt(fit.covariance[k, k]), FLOOR[name])
     else:
         sd = float(found.roll_sd[[m.value for m in MOUNTS].index(name.removeprefix("roll_zero_"))])
-    status = TOLD if sd <= number.wanted_sd else ROUGH if sd <= priors.TOLD * number.prior_sd else NOT_TOLD
-    return Told(number, moved, sd, halves, p, status)
+    status = (
+        IDENTIFIED
+        if sd <= number.wanted_sd
+        else WEAKLY_IDENTIFIED
+        if sd <= priors.IDENTIFIABLE * number.prior_sd
+        else NOT_IDENTIFIABLE
+    )
+    return NumberVerdict(number, moved, sd, halves, p, status)
 
 
 def _not_in_the_fit(found: Calibration) -> dict[str, float]:
@@ -126,7 +132,7 @@ def _not_in_the_fit(found: Calibration) -> dict[str, float]:
     and the tractor's receivers aside."""
     covariance, slopes = found.fit.covariance, priors.slopes(found.machine)
     # Who is late looks like further back, at one speed; with it goes what the fit takes these places for.
-    way = found.speed * float(found.late_sd[2])
+    way = found.speed * float(found.delay_sd[2])
     places = {"lever_t": way / 2.0, "lever_i": way / 2.0, "c": way, "d": way}
     at = [BY_LIKELIHOOD.index(name) for name in places]
     all_rows = [AT[name] for name in BY_LIKELIHOOD]
@@ -136,19 +142,19 @@ def _not_in_the_fit(found: Calibration) -> dict[str, float]:
     further = dict(zip(BY_LIKELIHOOD, sds.tolist(), strict=True))
     others = {
         "c": found.hitch_sd[0], "d": found.hitch_sd[1],
-        "latency": float(np.linalg.norm(found.late_sd)) / 2.0,
-        "aside_i": 0.5 * found.aside_sd,  # folded, what stands aside on one body looks like it on the other
+        "latency": float(np.linalg.norm(found.delay_sd)) / 2.0,
+        "aside_i": 0.5 * found.lateral_offset_sd,  # folded, one body's looks like the other's
     }  # fmt: skip
-    if found.driven.weaved < ENOUGH_S:
+    if found.coverage.weaved < ENOUGH_S:
         others |= {name: math.hypot(others.get(name, 0.0), sd) for name, sd in NOT_WEAVED_SD.items()}
-    if _one_way(found.driven):
+    if _one_way(found.coverage):
         others |= {"pair_t": ONE_WAY_SD, "pair_i": ONE_WAY_SD}
     return further | {name: math.hypot(further[name], sd) for name, sd in others.items()}
 
 
-def _one_way(driven: Straightness) -> bool:
+def _one_way(coverage: DrivingCoverage) -> bool:
     """Whether hardly any straight driving has some in nearly the other direction."""
-    there = driven.directions
+    there = coverage.directions
     back = sum(np.roll(there, 4 + k) for k in (-1, 0, 1))
     return float(np.minimum(there, back).sum()) < ENOUGH_S
 
@@ -160,12 +166,14 @@ def _difference(halves: tuple[Half, Half], k: int) -> float:
     return float(one.mean[k] - other.mean[k]) / math.sqrt(variance) if variance > 0.0 else 0.0
 
 
-def _z(one: Told, found: Calibration) -> float:
+def _z(one: NumberVerdict, found: Calibration) -> float:
     assert found.fit.halves is not None
     return _difference(found.fit.halves, AT[one.number.name])
 
 
-def soil_cost(covariance: Array, machine: Machine, told: Sequence[Told]) -> dict[str, tuple[float, float]]:
+def soil_cost(
+    covariance: Array, machine: Machine, numbers: Sequence[NumberVerdict]
+) -> dict[str, tuple[float, float]]:
     """Parameter -> (sd of its logarithm from this drive, how much of it is the numbers' own uncertainty).
     Each number has the sd that is published: what the model leaves out of it moves the six as well.
 
@@ -174,7 +182,7 @@ def soil_cost(covariance: Array, machine: Machine, told: Sequence[Told]) -> dict
     rows = [AT[name] for name in BY_LIKELIHOOD]
     mine = covariance[np.ix_(rows, rows)]
     moved = np.linalg.solve(mine, covariance[rows][:, SIX]).T  # the six by the numbers, (6, r)
-    sds = {one.number.name: one.sd for one in told}
+    sds = {one.number.name: one.sd for one in numbers}
     per = dict(zip(BY_LIKELIHOOD, np.abs(priors.slopes(machine)).tolist(), strict=True))
     published = np.array([sds.get(name, 0.0) / per[name] for name in BY_LIKELIHOOD])
     further = moved**2 @ np.maximum(published**2 - np.diag(mine), 0.0)
@@ -183,25 +191,25 @@ def soil_cost(covariance: Array, machine: Machine, told: Sequence[Told]) -> dict
     return {name: (float(whole[k]), float(shares[k])) for k, name in enumerate(PARAMETERS)}
 
 
-def _not_driven(driven: Straightness, late_sd: Array) -> Iterator[str]:
+def _not_covered(coverage: DrivingCoverage, delay_sd: Array) -> Iterator[str]:
     """What would have told more, by the ways of driving that are missing."""
-    if min(driven.left, driven.right) < ENOUGH_S:
-        side = "left" if driven.left < driven.right else "right"
+    if min(coverage.left, coverage.right) < ENOUGH_S:
+        side = "left" if coverage.left < coverage.right else "right"
         yield f"Hardly a turn to the {side}: zero and scale of the wheel are told less well; {priors.CIRCLE}."
-    if _one_way(driven):
+    if _one_way(coverage):
         yield f"Straight driving in one direction only: a slope is taken for yaw of the pairs; {priors.ROW}."
-    if float(late_sd.max()) >= LATE_SD:
+    if float(delay_sd.max()) >= DELAY_SD:
         yield f"Nearly one speed all the way: a late receiver looks like one further back; {priors.WEAVE}."
-    if driven.weaved < ENOUGH_S:
+    if coverage.weaved < ENOUGH_S:
         yield f"Turns were sharp and slow: latencies, levers and hitch are told less well; {priors.WEAVE}."
-    if driven.folded < ENOUGH_S:
+    if coverage.folded < ENOUGH_S:
         yield f"The implement hardly folded: hitch and drawbar are not told apart; {priors.FOLD}."
 
 
-def _sentences(told: tuple[Told, ...], p: float, found: Calibration) -> list[str]:
-    good = sum(one.status == TOLD for one in told)
-    said = [f"{good} of {len(told)} numbers are known as well as is wanted."]
-    without = [one.number.words for one in told if one.status == NOT_TOLD]
+def _sentences(numbers: tuple[NumberVerdict, ...], p: float, found: Calibration) -> list[str]:
+    good = sum(one.status == IDENTIFIED for one in numbers)
+    said = [f"{good} of {len(numbers)} numbers are known as well as is wanted."]
+    without = [one.number.words for one in numbers if one.status == NOT_IDENTIFIABLE]
     if without:
         said.append(f"The drive does not tell: {', '.join(without)}. These stay as the file has them.")
     if p < DISAGREE:
@@ -210,7 +218,7 @@ def _sentences(told: tuple[Told, ...], p: float, found: Calibration) -> list[str
         )
     elif found.fit.halves is not None:
         said.append("Both halves of the drive give the same numbers within their intervals.")
-    said += list(_not_driven(found.driven, found.late_sd))
+    said += list(_not_covered(found.coverage, found.delay_sd))
     if not found.fit.settled:
         said.append("The search has not settled; take the numbers with care, and drive again.")
     if not found.rolls.signs_told:

@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel, kernel
 from tilth.estimator.filters.states import (
+    BANK_STATES,
     N_STATES,
-    SLOPES,
+    X_DISTURBANCE,
     X_PAIR,
     X_POSITION,
     X_PSI,
-    X_PUSH,
     Places,
 )
 from tilth.estimator.filters.transition import (
     D_POSITION,
-    N_DRIVEN,
+    N_COUPLED,
     POSITION_LATER,
     Transition,
     propagate_covariance,
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 class JointState(NamedTuple):
-    """The joint state during a run. Beside it there may be companions of the filter (companions.py): `c`
+    """The joint state during a run. Beside it there may be perturbed filters (perturbed_filters.py): `c`
     filters in all, of which the first is the run's."""
 
     x: Array  # (30,)
@@ -46,13 +46,13 @@ class UpdateWork(NamedTuple):
     P_H: Array  # (c, 30 + a)
     gain: Array  # (c, 30 + a)
     moved: Array  # (30 + a,), how far the first filter's joint state has moved
-    driven: Array  # (14,), and its driven states one tick later
+    coupled: Array  # (14,), and its coupled states one tick later
 
 
 @kernel
 def empty_work(count: int, n: int) -> UpdateWork:
     """Work arrays for `count` filters of n states and unknowns."""
-    return UpdateWork(np.zeros((count, n)), np.zeros((count, n)), np.zeros(n), np.zeros(N_DRIVEN))
+    return UpdateWork(np.zeros((count, n)), np.zeros((count, n)), np.zeros(n), np.zeros(N_COUPLED))
 
 
 @inner_kernel
@@ -88,7 +88,7 @@ def unknowns_between(share: float, h: Array, step: Transition, out: Array) -> No
     na = out.shape[0]
     for j in range(na):
         out[j] = h[N_STATES + j]
-    for k in range(N_DRIVEN):
+    for k in range(N_COUPLED):
         i = k if k < D_POSITION else k + POSITION_LATER
         if h[i] != 0.0 and share != 0.0:
             for j in range(na):
@@ -137,22 +137,22 @@ def update(
 @inner_kernel
 def move(error: float, state: JointState, step: Transition, work: UpdateWork) -> None:
     """Move the state, the one after it and the unknowns by the first filter's gain times its innovation."""
-    moved, driven, x, following, F = work.moved, work.driven, state.x, state.following, step.F
+    moved, coupled, x, following, F = work.moved, work.coupled, state.x, state.following, step.F
     for i in range(moved.shape[0]):
         moved[i] = work.gain[0, i] * error
     for j in range(state.places.shape[0]):
         state.unknowns[state.places[j]] += moved[N_STATES + j]
-    driven[:] = 0.0
+    coupled[:] = 0.0
     for i in range(moved.shape[0]):
-        for k in range(N_DRIVEN):
-            driven[k] += step.F_driven_T[i, k] * moved[i]
+        for k in range(N_COUPLED):
+            coupled[k] += step.F_coupled_T[i, k] * moved[i]
     for i in range(N_STATES):
         x[i] += moved[i]
-        if X_PUSH <= i < X_POSITION or i >= X_PAIR:
+        if X_DISTURBANCE <= i < X_POSITION or i >= X_PAIR:
             following[i] += F[i, i] * moved[i]
-    for i in SLOPES:
-        for j in SLOPES:
+    for i in BANK_STATES:
+        for j in BANK_STATES:
             if i != j:
                 following[i] += F[i, j] * moved[j]
-    for k in range(N_DRIVEN):
-        following[k if k < D_POSITION else k + POSITION_LATER] += driven[k]
+    for k in range(N_COUPLED):
+        following[k if k < D_POSITION else k + POSITION_LATER] += coupled[k]

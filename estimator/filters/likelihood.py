@@ -90,7 +90,9 @@ class Iterate:
     dS: Array  # (a, m), of their variances
     cost: float
     noise_point: Array  # [n], where the derivatives over the noise levels were taken
-    steered: Array  # (s, m), response of the innovations to `driven`, for `apart_from_ground`
+    instrument_response: (
+        Array  # (s, m), response of the innovations to `instruments`, for `apart_from_ground`
+    )
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
@@ -113,13 +115,14 @@ def first_state(record: Record, setup: RigSetup) -> Array:
 
 def innovations(
     record: Record, setup: RigSetup, start: Array, point: Array, places: Places = NOTHING, *,
-    used: Array | None = None, closed: bool = True, driven: Array = NO_READINGS,
+    used: Array | None = None, closed: bool = True, instruments: Array = NO_READINGS,
     responding: NDArray[np.bool_] | None = None, nearby: Array = NO_POINTS,
 ) -> Innovations:  # fmt: skip
     """The filter over a record at a point, (n,), of the unknowns: `predictor.run_filter`.
 
     start: (30,). places: (a,), of the unknowns to differentiate by. used: (m,), 0.0 for a row that is left
-    out. closed: False for the open loop. driven: (m, a), changes of the readings; responding: (a,), for which
+    out. closed: False for the open loop. instruments: (m, a), changes of the readings; responding: (a,), for
+    which
     places the response to these is asked, all if None. nearby: (q, n), points that differ in noise levels,
     which are tried beside.
     """
@@ -133,19 +136,19 @@ def innovations(
         np.ones(m) if used is None else used, closed,
     )  # fmt: skip
     if responding is None:
-        responding = np.full(len(places), len(driven) > 0)
+        responding = np.full(len(places), len(instruments) > 0)
     at = Point(point.copy(), np.exp(point[unknowns.SIX]), unknowns.geometry(setup.geometry, point))
-    run_filter(measured, start.copy(), at, setup, Varied(places, driven, responding, nearby), out)
+    run_filter(measured, start.copy(), at, setup, Varied(places, instruments, responding, nearby), out)
     return out
 
 
 def _run(
     search: Search, point: Array, places: Places = NOTHING, *, closed: bool = True,
-    driven: Array = NO_READINGS, responding: NDArray[np.bool_] | None = None, nearby: Array = NO_POINTS,
+    instruments: Array = NO_READINGS, responding: NDArray[np.bool_] | None = None, nearby: Array = NO_POINTS,
 ) -> Innovations:  # fmt: skip
     return innovations(
         search.record, search.setup, search.start, point, places, used=search.used, closed=closed,
-        driven=driven, responding=responding, nearby=nearby,
+        instruments=instruments, responding=responding, nearby=nearby,
     )  # fmt: skip
 
 
@@ -184,18 +187,18 @@ def inverse(matrix: Array) -> Array:
 
 
 def evaluate(
-    search: Search, point: Array, before: Iterate | None = None, driven: Array = NO_READINGS
+    search: Search, point: Array, before: Iterate | None = None, instruments: Array = NO_READINGS
 ) -> Iterate:
     """A point of a search. Derivatives over noise levels are those of `before`, or 0 without.
 
-    driven: as `response_to_steering` gives it, if `apart_from_ground` is to follow.
+    instruments: as `response_to_steering` gives it, if `apart_from_ground` is to follow.
     """
-    of_motion, many = search.active[search.of_motion], driven.shape[1]
+    of_motion, many = search.active[search.of_motion], instruments.shape[1]
     places = np.concatenate([of_motion, search.active[:many]])  # the six come first
     responding = np.arange(len(places)) >= len(of_motion)
-    readings = np.zeros((len(driven), len(places)))
-    readings[:, responding] = driven
-    made = _run(search, point, places, driven=readings, responding=responding)
+    readings = np.zeros((len(instruments), len(places)))
+    readings[:, responding] = instruments
+    made = _run(search, point, places, instruments=readings, responding=responding)
     cost, none = _cost(search, point, made.e, made.S), np.zeros((len(search.active), len(made.e)))
     de, dS = (none, none.copy()) if before is None else (before.de.copy(), before.dS.copy())
     of_unknowns = made.de.T
@@ -234,8 +237,8 @@ def response_to_steering(search: Search, point: Array) -> Array:
     """Derivatives of the open-loop response to the known wheel angles, without measurements, by those of the
     six that are active: (m, s). 0 where the open loop runs away, as it may in a sharp turn: such a record
     tells of tyres by OTHER_TYRES_SD alone."""
-    driven = _run(search, point, search.active[search.active < 6], closed=False).de
-    return driven if bool(np.all(np.abs(driven) < RUN_AWAY)) else np.zeros_like(driven)
+    instruments = _run(search, point, search.active[search.active < 6], closed=False).de
+    return instruments if bool(np.all(np.abs(instruments) < RUN_AWAY)) else np.zeros_like(instruments)
 
 
 def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:
@@ -250,7 +253,7 @@ def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:
     """
     six = search.active < 6
     sd = OTHER_TYRES_SD[search.active[six]]
-    shaken = here.de[six] - here.steered
+    shaken = here.de[six] - here.instrument_response
     weight = search.scored / here.S
     shared = (here.de * weight) @ shaken.T
     inside = inverse((shaken * weight) @ shaken.T + np.diag(sd**-2.0))

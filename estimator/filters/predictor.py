@@ -5,7 +5,7 @@ It is a Kalman filter over the states of states.py; propagation.py propagates th
 state is taken as linear in time. Measurements are scalar and are processed one by one, so the log-likelihood
 is log L = -1/2 sum (e^2 / S + log S), with innovation e and its variance S. The derivatives of e over the
 unknowns, with the gains held, are propagated beside the state by the same Jacobians; so is what a change of
-the readings makes of e, and so are companions with other noise levels (companions.py).
+the readings makes of e, and so are companions with other noise levels (perturbed_filters.py).
 """
 
 from typing import Final, NamedTuple
@@ -14,15 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
-from tilth.estimator.filters.companions import (
-    Filters,
-    advance,
-    deviate,
-    filters,
-    first_covariances,
-    set_all_noise,
-    set_innovations,
-)
 from tilth.estimator.filters.joint_update import (
     JointState,
     UpdateWork,
@@ -34,6 +25,15 @@ from tilth.estimator.filters.joint_update import (
     update,
 )
 from tilth.estimator.filters.measurement_model import observation, predict_measurement
+from tilth.estimator.filters.perturbed_filters import (
+    Filters,
+    advance,
+    deviate,
+    filters,
+    first_covariances,
+    set_all_noise,
+    set_innovations,
+)
 from tilth.estimator.filters.propagation import (
     EVERY,
     Active,
@@ -41,7 +41,7 @@ from tilth.estimator.filters.propagation import (
     empty_plant,
     linearise,
     propagate,
-    set_geometry_slopes,
+    set_geometry_jacobian,
     set_plant,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
@@ -49,7 +49,7 @@ from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_nois
 from tilth.estimator.filters.states import N_STATES, Places, Point
 from tilth.estimator.filters.transition import (
     D_POSITION,
-    N_DRIVEN,
+    N_COUPLED,
     POSITION_LATER,
     Transition,
     decay_rows,
@@ -77,8 +77,10 @@ class Varied(NamedTuple):
     """What is varied beside a filter run."""
 
     places: Places  # (a,), the unknowns to differentiate by
-    driven: Array  # (m, a), changes of the readings; or (0, a)
-    responding: NDArray[np.bool_]  # (a,), whose derivatives are the response to `driven`, not to the unknown
+    instruments: Array  # (m, a), changes of the readings; or (0, a)
+    responding: NDArray[
+        np.bool_
+    ]  # (a,), whose derivatives are the response to `instruments`, not to the unknown
     nearby: Array  # (q, n), points that differ in noise levels
 
 
@@ -92,21 +94,23 @@ class Innovations(NamedTuple):
     S_nearby: Array  # (m, q), their variances
 
 
-class Carried(NamedTuple):
+class Sensitivities(NamedTuple):
     """Derivatives over the active unknowns, with the gains held."""
 
     D: Array  # (30, a), of the state
-    driven: Array  # (14, a), of the driven states one tick later, overwritten
+    coupled: Array  # (14, a), of the coupled states one tick later, overwritten
     d: Array  # (a,), of the present innovation
 
 
 @inner_kernel
-def row_slopes(H: Array, H_unknowns: Array, row: int, varied: Varied, carried: Carried) -> None:
+def row_sensitivities(
+    H: Array, H_unknowns: Array, row: int, varied: Varied, sensitivities: Sensitivities
+) -> None:
     """Fill the derivatives of the innovation of a row. H: (30,), its prediction's Jacobian at the tick;
     H_unknowns: (a,), of what else changes with the unknowns."""
-    D, _, d = carried
+    D, _, d = sensitivities
     for j in range(d.shape[0]):
-        d[j] = varied.driven[row, j] if varied.responding[j] else -H_unknowns[j]
+        d[j] = varied.instruments[row, j] if varied.responding[j] else -H_unknowns[j]
     for i in range(N_STATES):
         if H[i] != 0.0:
             for j in range(d.shape[0]):
@@ -114,26 +118,26 @@ def row_slopes(H: Array, H_unknowns: Array, row: int, varied: Varied, carried: C
 
 
 @inner_kernel
-def carry_update(gain: Array, carried: Carried) -> None:
+def update_sensitivities(gain: Array, sensitivities: Sensitivities) -> None:
     """Add a measurement's part to the derivatives. gain: (30,)."""
-    D, _, d = carried
+    D, _, d = sensitivities
     for i in range(N_STATES):
         for j in range(d.shape[0]):
             D[i, j] += gain[i] * d[j]
 
 
 @inner_kernel
-def carry(carried: Carried, step: Transition) -> None:
+def propagate_sensitivities(sensitivities: Sensitivities, step: Transition) -> None:
     """Propagate the derivatives over a tick."""
-    D, driven, d = carried
+    D, coupled, d = sensitivities
     if d.shape[0] == 0:
         return
-    multiply(step.F_driven, D, driven)
-    decay_rows(D, 0, step.decay[0], step.slope)
-    for k in range(N_DRIVEN):
+    multiply(step.F_coupled, D, coupled)
+    decay_rows(D, 0, step.decay[0], step.bank)
+    for k in range(N_COUPLED):
         i = k if k < D_POSITION else k + POSITION_LATER
         for j in range(d.shape[0]):
-            D[i, j] = driven[k, j] + step.F_unknowns[k, j]
+            D[i, j] = coupled[k, j] + step.F_unknowns[k, j]
 
 
 class Runner(NamedTuple):
@@ -142,7 +146,7 @@ class Runner(NamedTuple):
     state: JointState
     run: Filters
     varied: Varied
-    carried: Carried
+    sensitivities: Sensitivities
     plant: Plant
     active: Active
     step: Transition
@@ -159,14 +163,15 @@ def runner(u: float, x: Array, point: Point, setup: RigSetup, varied: Varied) ->
     places, run = varied.places, filters(point.unknowns, varied.nearby)
     na, learned = places.shape[0], places[:0]
     active, plant = Active(places, np.zeros((na, 9))), empty_plant(setup, na)
-    set_geometry_slopes(point, active)
+    set_geometry_jacobian(point, active)
     set_plant(plant, point, setup, active)
     P = first_covariances(u, run, setup)
     step, work = empty_transition(na, learned.shape[0], P.shape[0]), empty_work(P.shape[0], P.shape[1])
     state = JointState(x, np.zeros(N_STATES), point.unknowns, learned, np.zeros(N_STATES), P)
-    carried = Carried(np.zeros((N_STATES, na)), np.zeros((N_DRIVEN, na)), np.zeros(na))
+    sensitivities = Sensitivities(np.zeros((N_STATES, na)), np.zeros((N_COUPLED, na)), np.zeros(na))
     return Runner(
-        state, run, varied, carried, plant, active, step, work, np.zeros(N_STATES), np.zeros(N_STATES + na),
+        state, run, varied, sensitivities, plant, active, step, work,
+        np.zeros(N_STATES), np.zeros(N_STATES + na),
         np.zeros(N_STATES), np.zeros(na),
     )  # fmt: skip
 
@@ -196,7 +201,7 @@ def end_tick(closed: bool, on: Runner) -> None:
         advance(on.run, state.x, step)
     for i in range(N_STATES):
         state.x[i] = state.following[i]
-    carry(on.carried, step)
+    propagate_sensitivities(on.sensitivities, step)
 
 
 @inner_kernel
@@ -205,23 +210,23 @@ def take_row(
     out: Innovations,
 ) -> None:  # fmt: skip
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
-    x, following, x_at, carried = on.state.x, on.state.following, on.x_at, on.carried
+    x, following, x_at, sensitivities = on.state.x, on.state.following, on.x_at, on.sensitivities
     obs = observation(measured.ticks, measured.rows[row], k, u, x, following, point.unknowns)
     for i in range(N_STATES):
         x_at[i] = x[i] + obs.share * (following[i] - x[i])
     error = measured.readings[row] - predict_measurement(x_at, obs, point, on.active, setup, on.h)
     between(obs.share, on.h, on.step, on.H)
     unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
-    row_slopes(on.H, on.H_unknowns, row, on.varied, carried)
+    row_sensitivities(on.H, on.H_unknowns, row, on.varied, sensitivities)
     out.e[row] = error
-    for j in range(carried.d.shape[0]):
-        out.de[row, j] = carried.d[j]
+    for j in range(sensitivities.d.shape[0]):
+        out.de[row, j] = sensitivities.d[j]
     if not measured.closed:
         return
     errors, variances = on.run.errors, on.run.variances
     set_innovations(error, measured.rows[row, SD], obs.kind, on.H, on.run)
     update(errors, variances, on.H, on.state, on.step, UNLIMITED, on.work)
-    carry_update(on.work.gain[0], carried)
+    update_sensitivities(on.work.gain[0], sensitivities)
     deviate(on.run, on.work)
     out.S[row] = variances[0]
     for q in range(errors.shape[0] - 1):

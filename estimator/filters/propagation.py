@@ -14,28 +14,28 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, wheel_slope
+from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, wheel_by_unknown
 from tilth.estimator.filters.states import (
+    BANK_DIFFERENCE,
+    BANK_LENGTH,
+    BANK_STATES,
     DT,
+    INITIAL_BANK_DIFFERENCE,
     N_STATES,
     PAIR_DECAY,
-    SLOPE_APART,
-    SLOPE_APART_AT_FIRST,
-    SLOPE_LENGTH,
-    SLOPES,
     SPEED_MEMORY_S,
     START,
     START_PLACE,
     UNEVEN_LENGTH,
     X_ALPHA,
-    X_ASIDE,
+    X_BANK,
+    X_DISTURBANCE,
+    X_LATERAL_OFFSET,
     X_PAIR,
     X_POSITION,
     X_PSI,
-    X_PUSH,
     X_R,
     X_ROLL,
-    X_SLOPE,
     X_SPEED,
     X_UNEVEN,
     X_V,
@@ -48,15 +48,15 @@ from tilth.estimator.filters.transition import (
     joint_jacobian,
     multiply,
     position_jacobian,
-    set_driven,
+    set_coupled,
     unknowns_jacobian,
 )
 from tilth.estimator.filters.unknowns import (
     AT_CG,
+    AT_DISTURBANCE,
     AT_GEOMETRY,
     AT_LATENCY,
     AT_MEMORY,
-    AT_PUSH,
     AT_UNEVEN,
     AT_WHEEL_ZERO,
     UNKNOWNS,
@@ -69,9 +69,9 @@ from tilth.estimator.models.rolling import (
     N_PARAMETERS,
     MotionRates,
     empty_motion,
-    rate_slopes,
-    rate_slopes_by_parameter,
     rates,
+    rates_by_parameter,
+    rates_by_state,
 )
 from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
 
@@ -90,9 +90,9 @@ P_GEOMETRY: Final = PARAMETERS.index("a")
 P_HEIGHT: Final = PARAMETERS.index("h_t")
 P_DRAWBAR: Final = PARAMETERS.index("h_h")
 P_ROLL_MODES: Final = PARAMETERS.index("k_t")
-P_PIN: Final = PARAMETERS.index("pin")
+P_PIVOT_HEIGHT: Final = PARAMETERS.index("pivot_height")
 P_FRONT: Final = PARAMETERS.index("k_f")
-P_SHRINK: Final = PARAMETERS.index("shrink")
+P_SLIP_DEPENDENCE: Final = PARAMETERS.index("slip_dependence")
 P_CONSTANTS: Final = len(PARAMETERS)
 
 # The rows of unknowns.UNKNOWNS as arrays for kernels, (n,).
@@ -125,7 +125,7 @@ class Active(NamedTuple):
 class GroundNoise(NamedTuple):
     """Sds of what the ground does."""
 
-    push: Array  # (3,), m/s^2, m/s^2, rad/s^2
+    disturbance: Array  # (3,), m/s^2, m/s^2, rad/s^2
     memory_s: float  # time constant of the pushes
     uneven: float  # rad
 
@@ -151,7 +151,7 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
         p[P_GEOMETRY + i] = point.geometry[i]
     p[P_HEIGHT], p[P_HEIGHT + 1], p[P_DRAWBAR] = rig.h_t, rig.h_i, rig.h_h
     modes = (roll.k_t, roll.k_i, roll.d_t, roll.d_i, roll.j_t, roll.j_i)
-    p[P_PIN], p[P_FRONT] = roll.pin, roll.k_f
+    p[P_PIVOT_HEIGHT], p[P_FRONT] = roll.pivot_height, roll.k_f
     constants = (rig.w_f, rig.w_r, rig.w_i, rig.load_exponent, rig.front_drive, rig.g)
     for i in range(6):
         p[i] = point.theta[i]
@@ -171,7 +171,7 @@ def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
 
 
 @inner_kernel
-def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> None:
+def set_parameter_jacobian(active: Active, linear: bool, p: Array, out: Array) -> None:
     """Fill out (a, 32), the derivatives of p by the active unknowns. linear: as in `set_parameters`."""
     out[:] = 0.0
     for j in range(active.places.shape[0]):
@@ -190,24 +190,24 @@ def set_parameter_slopes(active: Active, linear: bool, p: Array, out: Array) -> 
 def set_plant(plant: Plant, point: Point, setup: RigSetup, active: Active) -> None:
     """Move the plant to a point of the unknowns."""
     set_parameters(point, setup, plant.p)
-    set_parameter_slopes(active, setup.scale != 1.0, plant.p, plant.p_unknowns)
+    set_parameter_jacobian(active, setup.scale != 1.0, plant.p, plant.p_unknowns)
 
 
 @inner_kernel
 def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
-    """Fill out (12,), the rates of the states before X_PUSH."""
+    """Fill out (12,), the rates of the states before X_DISTURBANCE."""
     state, w, scale = plant.x, plant.w, plant.scale
-    for i in range(X_PUSH):
+    for i in range(X_DISTURBANCE):
         state[i] = scale * x[i]
     w[W_DELTA], w[W_U] = scale * drive.wheel, drive.u + x[X_SPEED]
     w[W_U_RATE] = drive.u_rate if scale == 1.0 else 0.0
     for body in range(2):
-        w[W_GRAVITY + body] = scale * (x[X_PUSH + body] + x[X_SLOPE + body])
+        w[W_GRAVITY + body] = scale * (x[X_DISTURBANCE + body] + x[X_BANK + body])
         w[W_UNEVEN + body] = scale * x[X_UNEVEN + body]
     rates(state, w, plant.p, plant.motion, out)
-    for i in range(X_PUSH):
+    for i in range(X_DISTURBANCE):
         out[i] /= scale
-    out[X_R] += x[X_PUSH + 2]
+    out[X_R] += x[X_DISTURBANCE + 2]
 
 
 # The Jacobians.
@@ -218,29 +218,29 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
     """Fill the rates at x and their Jacobians. Those of psi_t, psi_i and of the leans are constant."""
     state_rates(x, drive, plant, out.rates)
     motion, na = plant.motion, active.places.shape[0]
-    rate_slopes(plant.x, plant.w, plant.p, motion)
+    rates_by_state(plant.x, plant.w, plant.p, motion)
     if na > 0:
-        rate_slopes_by_parameter(plant.x, plant.w, plant.p, motion)
+        rates_by_parameter(plant.x, plant.w, plant.p, motion)
         out.rates_unknowns[:] = 0.0
     for k in range(8):
         i = k if k < X_ROLL else k + 2  # v, yaw rates, slip angles, rates of the leans
         slips = X_ALPHA <= k < X_ROLL
         row = k - X_ALPHA if slips else (1 + k if k < X_ALPHA else k - 2)
-        slopes = motion.slip_slopes[row] if slips else motion.right_slopes[row]
+        slopes = motion.slip_by_state[row] if slips else motion.right_by_state[row]
         for j in range(X_PSI + 1):
             out.rates_x[i, j] = slopes[j]
         out.rates_x[i, X_PSI + 1] = -slopes[X_PSI]
         for body in range(2):
-            out.rates_x[i, X_PUSH + body] = slopes[BY_INPUT + W_GRAVITY + body]
-            out.rates_x[i, X_SLOPE + body] = slopes[BY_INPUT + W_GRAVITY + body]
+            out.rates_x[i, X_DISTURBANCE + body] = slopes[BY_INPUT + W_GRAVITY + body]
+            out.rates_x[i, X_BANK + body] = slopes[BY_INPUT + W_GRAVITY + body]
             out.rates_x[i, X_UNEVEN + body] = slopes[BY_INPUT + W_UNEVEN + body]
         out.rates_x[i, X_SPEED] = slopes[BY_INPUT + W_U] / plant.scale
         out.rates_wheel[i] = slopes[BY_INPUT + W_DELTA]
-    unknown_slopes(plant, active, out.rates_unknowns)
+    rates_by_unknown(plant, active, out.rates_unknowns)
 
 
 @inner_kernel
-def unknown_slopes(plant: Plant, active: Active, out: Array) -> None:
+def rates_by_unknown(plant: Plant, active: Active, out: Array) -> None:
     """Fill the rows of out (12, a), the rates' derivatives by the active unknowns, that are not zero, from
     plant.motion."""
     motion = plant.motion
@@ -256,7 +256,7 @@ def unknown_slopes(plant: Plant, active: Active, out: Array) -> None:
 
 
 @inner_kernel
-def set_geometry_slopes(point: Point, active: Active) -> None:
+def set_geometry_jacobian(point: Point, active: Active) -> None:
     """Fill active.geometry, the derivatives of unknowns.geometry."""
     active.geometry[:] = 0.0
     for j in range(active.places.shape[0]):
@@ -284,7 +284,7 @@ def find_middle(x: Array, ticks: Array, k: int, point: Point, plant: Plant, step
     for i in range(N_STATES):
         middle[i] = x[i]
     state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
-    for i in range(X_PUSH):
+    for i in range(X_DISTURBANCE):
         middle[i] += 0.5 * EVERY * DT * step.rates[i]
 
 
@@ -304,23 +304,23 @@ def linearise(
 
 
 @inner_kernel
-def slopes_of_steering(
-    steered: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
+def jacobian_at_instrument(
+    instrument: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
 ) -> None:
     """Renew F_unknowns after `linearise`, with the slopes where the rig would be by steering alone: at
-    `steered`, (30,), a state that no measurement has moved.
+    `instrument`, (30,), a state that no measurement has moved.
 
     What the ground does is in the estimated state and in the innovations. Slopes that are taken there are
     correlated with what they are compared with, and tyres came out up to 40 % too soft in slow turns. These
     are an instrumental variable, as in refined instrumental variables for time series (P. C. Young 1976).
     """
-    find_middle(steered, ticks, k, point, plant, step)
+    find_middle(instrument, ticks, k, point, plant, step)
     state_rates(step.middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, step.rates)
-    rate_slopes_by_parameter(plant.x, plant.w, plant.p, plant.motion)
+    rates_by_parameter(plant.x, plant.w, plant.p, plant.motion)
     step.rates_unknowns[:] = 0.0
-    unknown_slopes(plant, active, step.rates_unknowns)
+    rates_by_unknown(plant, active, step.rates_unknowns)
     unknowns_jacobian(step)
-    set_driven(step, 0, X_PUSH)
+    set_coupled(step, 0, X_DISTURBANCE)
 
 
 @inner_kernel
@@ -331,16 +331,16 @@ def complete_jacobian(
 
     x, following: (30,), the state before and after the tick.
     """
-    F_unknowns, in_covariance = step.F_unknowns, step.F_driven.shape[1]
+    F_unknowns, in_covariance = step.F_unknowns, step.F_coupled.shape[1]
     for j in range(active.places.shape[0]):
         place = active.places[j]
         if AT_WHEEL_ZERO <= place <= AT_LATENCY:
-            factor = wheel_slope(place, drive)
-            for i in range(X_PUSH):
+            factor = wheel_by_unknown(place, drive)
+            for i in range(X_DISTURBANCE):
                 F_unknowns[i, j] = factor * step.wheel[i]
             if N_STATES + j < in_covariance:
-                for i in range(X_PUSH):
-                    step.F_driven[i, N_STATES + j] = step.F_driven_T[N_STATES + j, i] = F_unknowns[i, j]
+                for i in range(X_DISTURBANCE):
+                    step.F_coupled[i, N_STATES + j] = step.F_coupled_T[N_STATES + j, i] = F_unknowns[i, j]
     psi, v = 0.5 * (x[X_PSI] + following[X_PSI]), 0.5 * (x[X_V] + following[X_V])
     position_jacobian(drive.u + x[X_SPEED], psi, v, step)
 
@@ -351,17 +351,17 @@ def complete_jacobian(
 @inner_kernel
 def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
     """Fill out (30,), the state one tick later, with step.rates. u: the measured speed, m/s."""
-    for i in range(X_PUSH):
+    for i in range(X_DISTURBANCE):
         total = x[i]
-        for j in range(X_PUSH):
+        for j in range(X_DISTURBANCE):
             total += step.held[i, j] * step.rates[j]
         out[i] = total
-    for i in range(X_PUSH, N_STATES):
+    for i in range(X_DISTURBANCE, N_STATES):
         out[i] = step.decay[0, i] * x[i]
     for i in range(4):
-        out[SLOPES[i]] = 0.0
+        out[BANK_STATES[i]] = 0.0
         for j in range(4):
-            out[SLOPES[i]] += step.slope[i, j] * x[SLOPES[j]]
+            out[BANK_STATES[i]] += step.bank[i, j] * x[BANK_STATES[j]]
     psi, v = 0.5 * (x[X_PSI] + out[X_PSI]), 0.5 * (x[X_V] + out[X_V])
     u, sine, cosine = u + x[X_SPEED], math.sin(psi), math.cos(psi)
     out[X_POSITION] = x[X_POSITION] + DT * (u * cosine - v * sine)
@@ -385,85 +385,92 @@ def propagate(
 def ground_at(unknowns: Array) -> GroundNoise:
     """What the ground does, at a point of the unknowns."""
     return GroundNoise(
-        np.exp(unknowns[AT_PUSH : AT_PUSH + 3]), math.exp(unknowns[AT_MEMORY]), math.exp(unknowns[AT_UNEVEN])
+        np.exp(unknowns[AT_DISTURBANCE : AT_DISTURBANCE + 3]),
+        math.exp(unknowns[AT_MEMORY]),
+        math.exp(unknowns[AT_UNEVEN]),
     )
 
 
 @kernel
 def stationary(ground: GroundNoise, setup: RigSetup) -> Array:
-    """Stationary variances of the states from X_PUSH on, shape (30,), 0 for the position and SLOPES."""
+    """Stationary variances of the states from X_DISTURBANCE on, (30,), 0 for the position and BANK_STATES."""
     sds = setup.sds
     out = np.zeros(N_STATES)
     for i in range(3):
-        out[X_PUSH + i] = ground.push[i] * ground.push[i]
+        out[X_DISTURBANCE + i] = ground.disturbance[i] * ground.disturbance[i]
     for i in range(2):
         out[X_UNEVEN + i] = ground.uneven * ground.uneven
-        out[X_PAIR + i], out[X_PAIR + 2 + i], out[X_ASIDE + i] = sds[1] ** 2, sds[2] ** 2, sds[3] ** 2
+        out[X_PAIR + i], out[X_PAIR + 2 + i], out[X_LATERAL_OFFSET + i] = (
+            sds[1] ** 2,
+            sds[2] ** 2,
+            sds[3] ** 2,
+        )
     out[X_SPEED] = setup.speed_sd * setup.speed_sd
     return out
 
 
 @kernel
-def slope_rates(u: float, setup: RigSetup) -> tuple[float, float]:
-    """Rates (1/s) of the critically damped processes of SLOPES at speed u, m/s: the tractor's, and that with
+def bank_rates(u: float, setup: RigSetup) -> tuple[float, float]:
+    """Rates (1/s) of the critically damped processes of BANK_STATES at speed u, m/s: the tractor's, and that
+    with
     which the implement's follows: it gets there when its wheels have come to where the tractor's CG was."""
     behind = setup.geometry[2] + setup.geometry[3] + setup.geometry[4]
-    return max(u, SLOWEST) / SLOPE_LENGTH, 2.0 * max(u, SLOWEST) / behind
+    return max(u, SLOWEST) / BANK_LENGTH, 2.0 * max(u, SLOWEST) / behind
 
 
 @kernel
 def first_covariance(u: float, ground: GroundNoise, setup: RigSetup) -> Array:
     """Covariance of the first state of a run at speed u, m/s, shape (30, 30)."""
     variances = stationary(ground, setup)
-    for i in range(X_PUSH):
+    for i in range(X_DISTURBANCE):
         variances[i] = START[i] * START[i]
     variances[X_POSITION] = variances[X_POSITION + 1] = START_PLACE * START_PLACE
     P = np.diag(variances)
-    common, apart = slope_rates(u, setup)
-    slope, own = setup.slope_sd, SLOPE_APART_AT_FIRST * setup.slope_sd
+    common, apart = bank_rates(u, setup)
+    bank, own = setup.bank_sd, INITIAL_BANK_DIFFERENCE * setup.bank_sd
     for i in (0, 2):
-        of_all = (slope if i == 0 else common * slope) ** 2
+        of_all = (bank if i == 0 else common * bank) ** 2
         for j in range(2):
             for k in range(2):
-                P[SLOPES[i + j], SLOPES[i + k]] = of_all
-        P[SLOPES[i + 1], SLOPES[i + 1]] += (own if i == 0 else apart * own) ** 2
+                P[BANK_STATES[i + j], BANK_STATES[i + k]] = of_all
+        P[BANK_STATES[i + 1], BANK_STATES[i + 1]] += (own if i == 0 else apart * own) ** 2
     return P
 
 
 @kernel
-def set_slopes(u: float, setup: RigSetup, step: Transition) -> None:
-    """Fill slope and slope_noise at speed u, m/s. A critically damped process of rate w and stationary
+def set_bank(u: float, setup: RigSetup, step: Transition) -> None:
+    """Fill bank and bank_noise at speed u, m/s. A critically damped process of rate w and stationary
     variance s^2 is driven by white noise of density 4 w^3 s^2."""
-    common, apart = slope_rates(u, setup)
+    common, apart = bank_rates(u, setup)
     A, B, power = np.zeros((4, 4)), np.eye(4), np.zeros((4, 4))
     A[0, 2] = A[1, 3] = DT
     A[2, 0], A[2, 2] = -common * common * DT, -2.0 * common * DT
     A[3, 0], A[3, 1], A[3, 3] = apart * apart * DT, -apart * apart * DT, -2.0 * apart * DT
-    step.slope[:] = B
+    step.bank[:] = B
     for order in range(1, 4):
         multiply(A, B, power)
         for i in range(4):
             for j in range(4):
                 B[i, j] = power[i, j] / order
-                step.slope[i, j] += B[i, j]
+                step.bank[i, j] += B[i, j]
     for body in range(2):
-        sd = setup.slope_sd * (SLOPE_APART if body else 1.0)
+        sd = setup.bank_sd * (BANK_DIFFERENCE if body else 1.0)
         density = 4.0 * (apart if body else common) ** 3 * sd * sd
-        step.slope_noise[body, body] = density * DT**3 / 3.0
-        step.slope_noise[body, 2 + body] = step.slope_noise[2 + body, body] = density * DT**2 / 2.0
-        step.slope_noise[2 + body, 2 + body] = density * DT
+        step.bank_noise[body, body] = density * DT**3 / 3.0
+        step.bank_noise[body, 2 + body] = step.bank_noise[2 + body, body] = density * DT**2 / 2.0
+        step.bank_noise[2 + body, 2 + body] = density * DT
 
 
 @kernel
 def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transition, c: int) -> None:
-    """Fill decay and q of the states from X_PUSH on but SLOPES, at speed u, m/s, for filter c of step."""
+    """Fill decay and q of the states from X_DISTURBANCE on but BANK_STATES, at speed u, m/s, for filter c."""
     decay, q = step.decay[c], step.q[c]
     for i in range(3):
-        decay[X_PUSH + i] = math.exp(-DT / ground.memory_s)
+        decay[X_DISTURBANCE + i] = math.exp(-DT / ground.memory_s)
     for i in range(2):
         decay[X_UNEVEN + i] = math.exp(-DT * max(u, SLOWEST) / UNEVEN_LENGTH)
     decay[X_PAIR:] = PAIR_DECAY
     decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
     variances = stationary(ground, setup)
-    for i in range(X_PUSH, N_STATES):
+    for i in range(X_DISTURBANCE, N_STATES):
         q[i] = (1.0 - decay[i] * decay[i]) * variances[i]

@@ -21,7 +21,7 @@ SPEED_SHARE: Final = 0.4  # sd of the speed over that of a receiver's velocity: 
 
 DEFLECTION: Final = 0.045  # m, of tyres under their static load
 FRONT_DEFLECTION: Final = 0.06  # m, the same of the front tyres: smaller, and near their rated load
-PIN: Final = 0.7  # of the front wheels' pin above the ground, m
+PIVOT_HEIGHT: Final = 0.7  # of the front wheels' pin above the ground, m
 DAMPING: Final = 0.08  # of the roll modes
 GYRATION: Final = 0.48  # radius of gyration in roll, over the track
 SMALL: Final = 1e-4  # scale of motions for which the model is linear
@@ -36,7 +36,7 @@ class RollModes(NamedTuple):
     d_i: float
     j_t: float  # kg m^2, about a line through the CG
     j_i: float
-    pin: float  # m, height of the front axle's pin
+    pivot_height: float  # m, height of the front axle's pin
     k_f: float  # N m/rad, of the front axle about its pin
 
 
@@ -53,7 +53,7 @@ class RigSetup(NamedTuple):
     heights: Array  # (4,), of antennas above the ground, m; 0 where the receiver corrects for roll
     corrected: Array  # (4,), the same where it does, 0 where it does not
     speed_sd: float  # m/s, of the measured speed
-    slope_sd: float = 0.7  # m/s^2, of gravity along the cross slope: 4 degrees
+    bank_sd: float = 0.7  # m/s^2, of gravity along the cross slope: 4 degrees
     scale: float = 1.0  # of all motions, which makes the model linear where it is small
 
 
@@ -79,7 +79,7 @@ def nominal_roll(machine: Machine) -> RollModes:
     d_t = 2 * DAMPING * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * DAMPING * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
     k_f = front / FRONT_DEFLECTION * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIN, k_f)
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIVOT_HEIGHT, k_f)
 
 
 def _heights(machine: Machine, corrected: bool) -> Array:
@@ -92,10 +92,13 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     setup = _setup(machine)
     if not linear:
         return setup
-    low, modes = setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), setup.roll._replace(pin=0.0, k_f=1e30)
+    low, modes = (
+        setup.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0),
+        setup.roll._replace(pivot_height=0.0, k_f=1e30),
+    )
     none = np.zeros(4)
     return setup._replace(
-        rig=low, roll=modes, heights=none, corrected=none, speed_sd=0.0, slope_sd=0.0, scale=SMALL
+        rig=low, roll=modes, heights=none, corrected=none, speed_sd=0.0, bank_sd=0.0, scale=SMALL
     )
 
 

@@ -177,8 +177,8 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
     """(the likelihood's maximum with `apart_from_ground`, the information there, whether it was found). Noise
     levels stay."""
     of_six, limits = search.active < 6, _step_limits(search)
-    driven, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
-    found, information = start = apart_from_ground(search, evaluate(search, at.point, at, driven))
+    instruments, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
+    found, information = start = apart_from_ground(search, evaluate(search, at.point, at, instruments))
     for k in range(STEPS_APART):
         gradient, _ = gradient_and_information(search, found, scores_at(search, found))
         newton, sds = newton_step(gradient, information, moving=search.of_motion, limits=limits)
@@ -190,8 +190,8 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
             for change in (step, (point - renewed)[search.active], (point - at.point)[search.active])
         )
         if since > ARRIVED_STEP:
-            driven, renewed = response_to_steering(search, point), point
-        there = evaluate(search, point, at, driven)
+            instruments, renewed = response_to_steering(search, point), point
+        there = evaluate(search, point, at, instruments)
         if not math.isfinite(there.cost):
             return *start, False
         found, information = apart_from_ground(search, there)

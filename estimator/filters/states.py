@@ -24,15 +24,15 @@ X_R: Final = 1  # of the tractor; the implement's is the next one, here and belo
 X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
 X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
 X_PSI: Final = 10
-X_PUSH: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
-X_SLOPE: Final = 15
+X_DISTURBANCE: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
+X_BANK: Final = 15
 X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
-X_SLOPE_RATE: Final = 19  # of X_SLOPE
-SLOPES: Final = (X_SLOPE, X_SLOPE + 1, X_SLOPE_RATE, X_SLOPE_RATE + 1)
+X_BANK_RATE: Final = 19  # of X_BANK
+BANK_STATES: Final = (X_BANK, X_BANK + 1, X_BANK_RATE, X_BANK_RATE + 1)
 X_SPEED: Final = 21  # m/s, true speed less the measured one
 X_POSITION: Final = 22  # north, east
 X_PAIR: Final = 24  # of the tractor to north and to east, then of the implement
-X_ASIDE: Final = 28  # to north, to east
+X_LATERAL_OFFSET: Final = 28  # to north, to east
 N_STATES: Final = 30
 
 DT: Final = 0.02  # s, of a tick
@@ -43,15 +43,15 @@ PAIR_DECAY: Final = math.exp(-DT / PAIR_MEMORY_S)
 ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
 ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
 START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.02, 0.01, 0.05, 0.02, 0.05, 0.05)
-"""Sds of the states before X_PUSH, at first."""
+"""Sds of the states before X_DISTURBANCE, at first."""
 START_PLACE: Final = 1.0  # m
-SLOPE_LENGTH: Final = 20.0
+BANK_LENGTH: Final = 20.0
 """m, over which the cross slope changes: time constant of a critically damped process. With 6 m a slope all
 the way was taken for zero errors of roll and for antennas aside, and what wheels do on uneven ground for
 slope: sigma_i of the tracker came out 8 % long, with 20 m or more 4 %."""
-SLOPE_APART: Final = 0.05
+BANK_DIFFERENCE: Final = 0.05
 """Sd of what the implement's cross slope has of its own, over that of the tractor's."""
-SLOPE_APART_AT_FIRST: Final = 0.5  # the same where a run begins: perhaps in a turn on a slope
+INITIAL_BANK_DIFFERENCE: Final = 0.5  # the same where a run begins: perhaps in a turn on a slope
 UNEVEN_LENGTH: Final = 1.5  # m
 
 

@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.propagation import (
-    P_SHRINK,
+    P_SLIP_DEPENDENCE,
     Active,
     Plant,
     empty_plant,
     rate_jacobians,
-    set_geometry_slopes,
+    set_geometry_jacobian,
     set_plant,
 )
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.sensors.wheel_angle import DriveInputs
-from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_PSI, X_R, X_ROLL, X_SLOPE, X_SPEED, X_V, Point
+from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_BANK, X_PSI, X_R, X_ROLL, X_SPEED, X_V, Point
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.record.steady_driving import SteadySample
 from tilth.schemas.machine import Machine
@@ -46,7 +46,7 @@ no effect on OUTPUTS."""
 INPUTS: Final = ("u", "wheel_angle", "roll_t", "roll_i", "folding")
 """m/s; rad, as the sensor reads it; measured rolls, rad; rate of the articulation, rad/s."""
 OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
-KERNELS: Final = (set_geometry_slopes, set_plant, rate_jacobians)  # that the functions below call
+KERNELS: Final = (set_geometry_jacobian, set_plant, rate_jacobians)  # that the functions below call
 MOST_STEPS: Final = 20  # of Newton's method; it takes four or five
 LONGEST_STEP: Final = 0.5  # m/s, rad/s or rad
 EXACT: Final = 1e-9  # m/s, rad/s, rad: a step so small is the last
@@ -55,7 +55,7 @@ AT: Final = {name: k for k, name in enumerate(CONSTANTS)}
 PLACES: Final = np.array([unknowns.AT[name] for name in CONSTANTS])
 SLIPS: Final = slice(X_ALPHA, X_ALPHA + 3)
 LEANS: Final = slice(X_ROLL, X_ROLL + 2)
-SLOPES: Final = slice(X_SLOPE, X_SLOPE + 2)
+BANK_STATES: Final = slice(X_BANK, X_BANK + 2)
 TURN: Final = np.r_[X_V, X_R, SLIPS, LEANS, X_PSI]
 """The states that are solved for. The implement's yaw rate and the slopes follow from them; psi_i is 0."""
 STEADY: Final = np.r_[X_V, X_R, SLIPS, X_ROLL + 2, X_ROLL + 3, X_R + 1]
@@ -84,7 +84,7 @@ def _model(point: Array, inputs: Array, machine: Machine) -> _Model:
     here = Point(at, np.exp(at[unknowns.SIX]), unknowns.geometry(setup.geometry, at))
     n, (u, reading, *_, folding) = len(PLACES), inputs.tolist()
     plant, active = _empty_plant(setup, n), Active(PLACES, np.zeros((n, len(here.geometry))))
-    set_geometry_slopes(here, active)
+    set_geometry_jacobian(here, active)
     set_plant(plant, here, setup, active)
     scale = float(np.exp(-at[unknowns.AT_WHEEL_GAIN]))
     drive = DriveInputs(u, 0.0, (reading - float(at[unknowns.AT_WHEEL_ZERO])) * scale, 0.0, scale)
@@ -98,11 +98,11 @@ def _imbalance(model: _Model) -> tuple[Array, Array, Array]:
     Sets the states that follow from TURN, and the slopes of the motion model.
     """
     x, step, slope = model.x, model.step, model.rolls - model.x[LEANS]
-    x[X_R + 1], x[SLOPES] = x[X_R] - model.folding, GRAVITY * np.sin(slope)
+    x[X_R + 1], x[BANK_STATES] = x[X_R] - model.folding, GRAVITY * np.sin(slope)
     rate_jacobians(x, model.drive, model.plant, model.active, step)
     left, by_x = step.rates[STEADY], step.rates_x[STEADY]
     left[-1] -= model.folding * model.drive.u / model.length
-    by_turn, by_rolls = by_x[:, TURN], by_x[:, SLOPES] * GRAVITY * np.cos(slope)
+    by_turn, by_rolls = by_x[:, TURN], by_x[:, BANK_STATES] * GRAVITY * np.cos(slope)
     by_turn[:, 1] += by_x[:, X_R + 1]  # r_i goes with r_t,
     by_turn[:, 5:7] -= by_rolls  # and where a body leans more, there is less slope
     return left, by_turn, by_rolls
@@ -183,7 +183,7 @@ def largest_slip(sample: SteadySample, zero: float, machine: Machine) -> float:
     point = unknowns.prior(machine)[0][PLACES]
     point[AT["wheel_zero"]] = zero
     model = _model(point, inputs_of(sample), machine)
-    model.plant.p[P_SHRINK] = 0.0
+    model.plant.p[P_SLIP_DEPENDENCE] = 0.0
     model.x[[X_V, X_R, X_PSI]] = sample.v, sample.yaw_rate, sample.articulation
     _imbalance(model)
     # A tyre that has not slipped yet: how fast its slip angle grows, over how fast it falls per tan of it.

@@ -35,19 +35,19 @@ from tilth.estimator.filters.propagation import (
     GroundNoise,
     Plant,
     empty_plant,
+    jacobian_at_instrument,
     linearise,
     propagate,
     propagate_mean,
-    set_geometry_slopes,
+    set_bank,
+    set_geometry_jacobian,
     set_plant,
     set_processes,
-    set_slopes,
-    slopes_of_steering,
     state_rates,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
-from tilth.estimator.filters.states import N_STATES, X_PUSH, X_UNEVEN, Places, Point
+from tilth.estimator.filters.states import N_STATES, X_DISTURBANCE, X_UNEVEN, Places, Point
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, geometry, set_geometry
 from tilth.estimator.record.record import SD, VALUE
@@ -76,7 +76,7 @@ class JointEstimate(NamedTuple):
     P_xx: Array  # (30, 30)
     P_xtheta: Array  # (30, n), of x with the unknowns
     P_theta: Array  # (n, n)
-    steered: Array  # (30,), x as it would be by steering alone
+    instrument: Array  # (30,), x as it would be by steering alone
 
 
 class RowTally(NamedTuple):
@@ -137,8 +137,8 @@ def add_residual(
 def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
     """Add what the ground does to its tally."""
     for i in range(GROUND):
-        place = X_PUSH + i if i < 3 else X_UNEVEN + i - 3
-        sd = ground.push[i] if i < 3 else ground.uneven
+        place = X_DISTURBANCE + i if i < 3 else X_UNEVEN + i - 3
+        sd = ground.disturbance[i] if i < 3 else ground.uneven
         sums[SENSORS + i, 0] += x[place] ** 2
         sums[SENSORS + i, 1] += sd**2 - P[place, place]
 
@@ -147,7 +147,7 @@ class SegmentRun(NamedTuple):
     """What a run over a segment works with."""
 
     state: JointState
-    steered: Array  # (30,), as JointEstimate.steered
+    instrument: Array  # (30,), as JointEstimate.instrument
     point: Point
     plant: Plant
     active: Active
@@ -168,12 +168,12 @@ def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, consid
     n = N_STATES + na
     active, plant = Active(places, np.zeros((na, 9))), empty_plant(setup, na)
     point = Point(unknowns, np.zeros(6), geometry(setup.geometry, unknowns))
-    set_geometry_slopes(point, active)
+    set_geometry_jacobian(point, active)
     P = pack_covariance(estimate, places)
     state, H = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P), np.zeros(n)
     step, work = empty_transition(na, na, P.shape[0]), empty_work(P.shape[0], n)
     return SegmentRun(
-        state, estimate.steered, point, plant, active, step, work,
+        state, estimate.instrument, point, plant, active, step, work,
         np.zeros(N_STATES), np.zeros(n), H, H[N_STATES:], np.zeros(1), np.zeros(1),
     )  # fmt: skip
 
@@ -186,12 +186,12 @@ def linearise_anew(
     point, plant, step = on.point, on.plant, on.step
     set_geometry(setup.geometry, point.unknowns, point.geometry)
     set_plant(plant, point, setup, on.active)
-    set_slopes(u, setup, step)
+    set_bank(u, setup, step)
     for c in range(on.state.P.shape[0]):
         set_processes(u, ground, setup, step, c)
     linearise(on.state.x, ticks, k, point, plant, on.active, step)
     if by_steering:
-        slopes_of_steering(on.steered, ticks, k, point, plant, on.active, step)
+        jacobian_at_instrument(on.instrument, ticks, k, point, plant, on.active, step)
 
 
 @inline_kernel
@@ -233,10 +233,10 @@ def track_ticks(
         drive = drive_at(ticks, k, state.unknowns)
         if (k - first) % EVERY == 0:
             linearise_anew(ticks, k, drive.u, setup, ground, by_steering, on)
-        state_rates(on.steered, drive, on.plant, step.rates)
-        propagate_mean(on.steered, drive.u, step, following)
+        state_rates(on.instrument, drive, on.plant, step.rates)
+        propagate_mean(on.instrument, drive.u, step, following)
         for i in range(N_STATES):
-            on.steered[i] = following[i]
+            on.instrument[i] = following[i]
         propagate(x, drive, on.plant, on.active, step, following)
         after = rows_by(rows, row, k - first)
         for i in range(row, after):
@@ -257,7 +257,7 @@ def track_segment(
     """Run the filter over a segment: updates the estimate and adds to the tally.
 
     places: (a,), indices of the active ones of unknowns.NAMES. considered: (30 + a,), 1.0 for what may not be
-    learned. by_steering: whether slopes by the unknowns are those of `propagation.slopes_of_steering`.
+    learned. by_steering: whether slopes by the unknowns are those of `propagation.jacobian_at_instrument`.
     """
     on = segment_run(estimate, setup, places, considered)
     track_ticks(segment, setup, ground, tally, by_steering, on)

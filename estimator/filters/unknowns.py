@@ -48,7 +48,7 @@ class Unknown(NamedTuple):
     doubted: bool = False  # such errors move it far: what goes beyond half of the prior's sd rather is one
 
 
-def _told(mean: float, sd: float) -> Callable[[Machine], Prior]:
+def _constant(mean: float, sd: float) -> Callable[[Machine], Prior]:
     """The same for every rig."""
     return lambda machine: (mean, sd)
 
@@ -85,7 +85,7 @@ def _roll_zero(mount: Mount) -> Callable[[Machine], Prior]:
     return found
 
 
-def _sway(machine: Machine) -> Prior:
+def _roll_compensation(machine: Machine) -> Prior:
     """Either of 0 and 1."""
     return (0.5, 0.5) if any(r.roll_corrected for r in machine.receiver) else (0.0, 0.0)
 
@@ -108,12 +108,12 @@ def _level(typical: float, log_sd: float) -> Callable[[Machine], Prior]:
 
 def _factor(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
     """Of how the bodies roll: a factor on what rig_setup.nominal_roll says."""
-    return Unknown(name, meaning, _told(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
+    return Unknown(name, meaning, _constant(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
 
 
 def _sum(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
     """A height, not below the ground."""
-    return Unknown(name, meaning, _told(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
+    return Unknown(name, meaning, _constant(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
 
 
 _VALUE: Final = ActsAs.VALUE
@@ -165,7 +165,8 @@ UNKNOWNS: Final = (
     ),
     # 0.01 on a road, 0.1 on tilled soil
     Unknown(
-        "rolling", "rolling resistance over load", _told(0.04, 0.03), _VALUE, "rolling", needs_steering=True
+        "rolling", "rolling resistance over load", _constant(0.04, 0.03), _VALUE, "rolling",
+        needs_steering=True,
     ),
     _factor("roll_k_t", "logarithm: roll stiffness over the nominal", 0.6, "k_t"),
     _factor("roll_k_i", "the same, implement", 0.6, "k_i"),
@@ -174,17 +175,17 @@ UNKNOWNS: Final = (
     _factor("roll_j_t", "logarithm: roll inertia over the nominal", 0.4, "j_t"),
     _factor("roll_j_i", "the same, implement", 0.4, "j_i"),
     _factor("roll_front", "logarithm: of the front axle about its pin", 0.4, "k_f"),
-    _sum("roll_pin", "m: the front axle's pin is higher than nominal", 0.15, "pin"),
+    _sum("roll_pin", "m: the front axle's pin is higher than nominal", 0.15, "pivot_height"),
     _sum("roll_hitch", "m: the drawbar is higher than nominal", 0.1, "h_h"),
     _sum("roll_cg_t", "m: CG higher than the file says", 0.05, "h_t"),
     _sum("roll_cg_i", "the same, implement", 0.05, "h_i"),
     Unknown(
-        "camber", "camber thrust over load and camber angle", _told(0.2, 0.15), _VALUE, "camber",
+        "camber", "camber thrust over load and camber angle", _constant(0.2, 0.15), _VALUE, "camber",
         needs_steering=True,
     ),
     Unknown(
         "shrink", "how far relaxation lengths fall with slip: 1 as the tyre curve's secant, 0 not at all",
-        _told(0.5, 0.4), _VALUE, "shrink", needs_steering=True,
+        _constant(0.5, 0.4), _VALUE, "slip_dependence", needs_steering=True,
     ),
     *(
         Unknown(name, "rad: measured roll less true", _roll_zero(mount), model_sd=0.01, doubted=True)
@@ -192,22 +193,23 @@ UNKNOWNS: Final = (
     ),
     *(
         Unknown(
-            f"roll_late_{of}", "s: by how much the rolls of a body's receivers are late", _told(0.03, 0.03),
+            f"roll_late_{of}", "s: by how much the rolls of a body's receivers are late",
+            _constant(0.03, 0.03),
             model_sd=0.02, doubted=True, needs_steering=True,
         )
         for of in "ti"
     ),
     *(  # a gyro is filtered less than a roll
-        Unknown(f"rate_late_{of}", "s: the same of their turn rates", _told(0.02, 0.03), model_sd=0.01)
+        Unknown(f"rate_late_{of}", "s: the same of their turn rates", _constant(0.02, 0.03), model_sd=0.01)
         for of in "ti"
     ),
     Unknown(
         "sway", "of velocities where positions are corrected for roll: 1 the antenna's, 0 the ground point's",
-        _sway, model_sd=0.2,
+        _roll_compensation, model_sd=0.2,
     ),
     Unknown(  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-        "curvature", "1 over the largest side force over load: 0 is a linear tyre", _told(1.0, 0.6), _VALUE,
-        "curvature", LEAST_CURVATURE, linear=True, needs_steering=True,
+        "curvature", "1 over the largest side force over load: 0 is a linear tyre", _constant(1.0, 0.6),
+        _VALUE, "curvature", LEAST_CURVATURE, linear=True, needs_steering=True,
     ),
     Unknown(
         "parallel", "how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel",
@@ -216,7 +218,7 @@ UNKNOWNS: Final = (
     ),
     Unknown(  # twin wheels, wide tyres; one wheel an axle is 2 sd away
         "two_track", "how far an axle's wheels slip each by itself: 1 as two, 0 as one (single-track)",
-        _told(1.0, 0.5), _VALUE, "two_track",
+        _constant(1.0, 0.5), _VALUE, "two_track",
     ),
     # Natural logarithms of noise levels. Pushes last as a first-order Gauss-Markov process does, white where
     # that is less than a tick; waves of 1 to 20 m come by in 0.2 to 4 s.
@@ -264,14 +266,14 @@ AT_WHEEL_GAIN: Final = AT["wheel_gain"]
 AT_LATENCY: Final = AT["latency"]
 AT_PAIR: Final = AT["pair_t"]
 AT_LEVER: Final = AT["lever_t"]
-AT_ASIDE: Final = AT["aside_i"]
+AT_LATERAL_OFFSET: Final = AT["aside_i"]
 AT_CG: Final = AT["cg_t"]
 AT_HITCH: Final = AT["roll_hitch"]
 AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
-AT_ROLL_LATE: Final = AT["roll_late_t"]
-AT_RATE_LATE: Final = AT["rate_late_t"]
-AT_SWAY: Final = AT["sway"]
-AT_PUSH: Final = AT["push_t"]
+AT_ROLL_DELAY: Final = AT["roll_late_t"]
+AT_YAW_RATE_DELAY: Final = AT["rate_late_t"]
+AT_ROLL_COMPENSATION: Final = AT["sway"]
+AT_DISTURBANCE: Final = AT["push_t"]
 AT_MEMORY: Final = AT["memory"]
 AT_UNEVEN: Final = AT["uneven"]
 AT_S_YAW_RATE: Final = AT["s_yaw_rate"]

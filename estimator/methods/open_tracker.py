@@ -219,7 +219,7 @@ def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
 
 def is_rough(state: TrackerState) -> bool:
     """Whether the ground is so uneven that the result may be a divergence."""
-    return math.sqrt(state.push[3]) > OPEN_TRACKER.rough
+    return math.sqrt(state.disturbance[3]) > OPEN_TRACKER.rough
 
 
 def rejected_rows(state: TrackerState) -> tuple[float, float]:

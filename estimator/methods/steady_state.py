@@ -206,9 +206,9 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     if largest_slip(sample, zero, machine) > STEADY_STATE.largest_slip:
         return _refuse(state, Code.SLIP_BEYOND_MODEL)
     try:
-        off, slope, noise = _innovation(state, machine, sample, informative)
+        off, H, noise = _innovation(state, machine, sample, informative)
         if not informative and sample.v is not None:
-            _learn_ground(state, off, slope @ state.P @ slope.T + noise)
+            _learn_ground(state, off, H @ state.P @ H.T + noise)
         elif informative and sample.v is not None and state.previous is not None:
             before, _, noise_before = _innovation(state, machine, state.previous, informative)
             _learn_ground(state, (off - before) / math.sqrt(2.0), (noise + noise_before) / 2.0)
@@ -217,8 +217,8 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     state.previous = sample if informative and sample.v is not None else None
     noise = noise + state.ground
     rows = [0, 1] if sample.v is None else [0, 1, 2]
-    innovation, slope, noise = off[rows], slope[rows], noise[np.ix_(rows, rows)]
-    S = slope @ state.P @ slope.T + noise
+    innovation, H, noise = off[rows], H[rows], noise[np.ix_(rows, rows)]
+    S = H @ state.P @ H.T + noise
     distance = float(innovation @ np.linalg.solve(S, innovation))
     if not math.isfinite(distance):
         return _refuse(state, Code.RESULT_NOT_FINITE)
@@ -229,7 +229,7 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
         _reset_stiffness(state)
     if distance > STEADY_STATE.gate[len(rows)]:
         return _refuse(state, Code.OUTLIER)
-    state.x, state.P = kalman_update(state.x, state.P, innovation, slope, noise)
+    state.x, state.P = kalman_update(state.x, state.P, innovation, H, noise)
     _find_posterior(state)
     if informative:
         state.largest_angle = max(state.largest_angle, abs(sample.wheel_angle - zero))
@@ -242,9 +242,9 @@ def _innovation(
     state: SteadyState, machine: Machine, sample: SteadySample, informative: bool
 ) -> tuple[Array, Array, Array]:
     """(measured less predicted [3], Jacobian over STATES [3, n], covariance of the white noise [3, 3])."""
-    predicted, slope, by_inputs = _linearise(state, machine, sample, informative)
+    predicted, H, by_inputs = _linearise(state, machine, sample, informative)
     measured, noise = _measured(sample, by_inputs)
-    return measured - predicted, slope, noise
+    return measured - predicted, H, noise
 
 
 def _learn_ground(state: SteadyState, innovation: Array, expected: Array) -> None:
@@ -302,21 +302,21 @@ def _linearise(
     n, x = len(CONSTANTS), state.x
     predicted, jacobian, by_inputs = linearised(np.concatenate([state.logs, x[3:n]]), sample, machine)
     compliance = np.exp(state.prior_logs - state.logs)
-    slope = np.zeros((3, len(STATES)))
-    slope[:, :n] = jacobian
-    slope[:, :3] = -jacobian[:, :3] / compliance
+    H = np.zeros((3, len(STATES)))
+    H[:, :n] = jacobian
+    H[:, :3] = -jacobian[:, :3] / compliance
     if not informative:
         fixed = [k for k in range(n) if k not in STRAIGHT]
-        slope[:, fixed] = 0.0
-    predicted = predicted + slope[:, :3] @ (x[:3] - compliance)
+        H[:, fixed] = 0.0
+    predicted = predicted + H[:, :3] @ (x[:3] - compliance)
     for pair in ("pair_t", "slow_t"):
-        slope[:, AT[pair]] = 0.0, 1.0, -sample.u  # a heading that is too large: more λ, less sideslip
+        H[:, AT[pair]] = 0.0, 1.0, -sample.u  # a heading that is too large: more λ, less sideslip
     for pair in ("pair_i", "slow_i"):
-        slope[:, AT[pair]] = 0.0, -1.0, 0.0
+        H[:, AT[pair]] = 0.0, -1.0, 0.0
     for body in ("t", "i"):
-        slope[:, AT[f"roll_zero_{body}"]] = -by_inputs[:, INPUTS.index(f"roll_{body}")]
+        H[:, AT[f"roll_zero_{body}"]] = -by_inputs[:, INPUTS.index(f"roll_{body}")]
     errors = [AT[f"{name}_{body}"] for name in ("pair", "slow", "roll_zero") for body in ("t", "i")]
-    return predicted + slope[:, errors] @ x[errors], slope, by_inputs
+    return predicted + H[:, errors] @ x[errors], H, by_inputs
 
 
 def _measured(sample: SteadySample, by_inputs: Array) -> tuple[Array, Array]:
@@ -361,9 +361,9 @@ def _find_posterior(state: SteadyState) -> None:
     at = state.logs
     for _ in range(STEADY_STATE.newton_steps):
         y = np.exp(state.prior_logs - at)
-        slope = -y * (information @ y - vector) + weight @ (at - state.prior_logs)
+        gradient = -y * (information @ y - vector) + weight @ (at - state.prior_logs)
         hessian = np.outer(y, y) * information + weight
-        step = np.linalg.solve(hessian, slope)
+        step = np.linalg.solve(hessian, gradient)
         length = min(1.0, STEADY_STATE.longest_step / max(float(np.abs(step).max()), 1e-12))
         while cost(at - length * step) > cost(at) + 1e-12 and length > 1e-3:
             length /= 2

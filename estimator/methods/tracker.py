@@ -18,7 +18,7 @@ from tilth.estimator.filters.predictor import run_filter
 from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
-from tilth.estimator.filters.states import DT, N_STATES, START, X_PSI, X_PUSH, X_ROLL, X_SLOPE
+from tilth.estimator.filters.states import DT, N_STATES, START, X_BANK, X_DISTURBANCE, X_PSI, X_ROLL
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -108,7 +108,7 @@ class TrackerState:
     prior_mean: Vector
     prior_sd: Vector
     x: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
-    steered: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
+    instrument: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
     """x as it would be by steering alone, with the unknowns as they are estimated."""
     P_xx: Annotated[Array, Shape((N_STATES, N_STATES))] = field(
         default_factory=lambda: np.zeros((N_STATES, N_STATES))
@@ -118,11 +118,11 @@ class TrackerState:
     )
     residual_ratio: Annotated[Array, Shape((SENSORS,))] = field(default_factory=lambda: np.ones(SENSORS))
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
-    push: Annotated[Array, Shape((4,))] = field(
+    disturbance: Annotated[Array, Shape((4,))] = field(
         default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])
     )
     """Variances of the ground's pushes and of its unevenness."""
-    segments_adapted: int = 0  # to which `push` has been adapted
+    segments_adapted: int = 0  # to which `disturbance` has been adapted
     running: bool = False  # x is the state at the start of the next segment
     segments_since_start: int = 0  # segments since the last restart of x
     pending: Record | None = None
@@ -222,7 +222,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         state.running = False
         return
     setup = rig_setup(machine)
-    sds = np.sqrt(state.push)
+    sds = np.sqrt(state.disturbance)
     speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
     ground = GroundNoise(sds[:3], TRACKER.disturbance_length / speed, float(sds[3]))
     if not state.running:
@@ -241,7 +241,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     prior_estimate = (state.mean.copy(), state.covariance.copy())
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
-        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.steered),
+        JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.instrument),
         setup, active, considered, ground, tally,
         state.by_steering and state.window_s >= TRACKER.initial_phase_s,
     )  # fmt: skip
@@ -268,7 +268,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
 def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: GroundNoise) -> None:
     """Initialise x from the ticks, with its initial covariance and no correlation with the unknowns."""
     state.x = likelihood.first_state(record, setup)
-    state.steered = state.x.copy()
+    state.instrument = state.x.copy()
     state.P_xx = first_covariance(float(record.ticks[0, U]), ground, setup)
     state.P_xtheta = np.zeros((N_STATES, len(NAMES)))
     state.running, state.segments_since_start, state.steering = True, 0, 0.0
@@ -276,12 +276,12 @@ def _restart(state: TrackerState, record: Record, setup: RigSetup, ground: Groun
 
 
 def _keep_near(state: TrackerState) -> None:
-    """Begin `steered` anew where it has run away from x: with some tyres, a rig turns round by itself."""
-    off = state.steered - state.x
+    """Begin `instrument` anew where it has run away from x: with some tyres, a rig turns round by itself."""
+    off = state.instrument - state.x
     articulation = off[X_PSI] - off[X_PSI + 1]
     if np.any(np.abs(off[:X_ROLL]) > TRACKER.far_off) or abs(articulation) > TRACKER.far_off[1]:
-        state.steered[:] = 0.0
-        state.steered[:X_PUSH] = state.x[:X_PUSH]
+        state.instrument[:] = 0.0
+        state.instrument[:X_DISTURBANCE] = state.x[:X_DISTURBANCE]
 
 
 def _check_learnable(state: TrackerState, record: Record) -> bool:
@@ -374,8 +374,8 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     )
     memory = np.where(ratio > 1.0, short, TRACKER.disturbance_variance_memory)
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
-    logs = np.log(state.push) + 0.5 * (ratio - 1.0) / memory
-    state.push = np.exp(
+    logs = np.log(state.disturbance) + 0.5 * (ratio - 1.0) / memory
+    state.disturbance = np.exp(
         logs
         + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs)
         / TRACKER.disturbance_forgetting
@@ -385,7 +385,7 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
 def _detect_soil_change(state: TrackerState) -> None:
     """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
-    if change is not None and change.ratio > soil_change.limit(math.sqrt(state.push[3])):
+    if change is not None and change.ratio > soil_change.limit(math.sqrt(state.disturbance[3])):
         _forget_soil(state, change.logs)
         return
     state.segments_since_checkpoint += 1
@@ -426,7 +426,7 @@ def reported_covariance(state: TrackerState) -> Array:
     tight = state.tight_s > fit_covariance.TIGHT_SHARE * state.window_s
     lateral = math.sqrt(state.hard / max(state.window_s, DT))
     room = fit_covariance.model_sd(
-        tight, lateral, math.sqrt(state.push[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
+        tight, lateral, math.sqrt(state.disturbance[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
     )
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 
@@ -441,7 +441,7 @@ def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
 
 
 def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
-    push_t, push_i, push_yaw, _ = np.sqrt(state.push).tolist()
+    disturbance_t, disturbance_i, disturbance_yaw, _ = np.sqrt(state.disturbance).tolist()
     excitation = {
         "distance_m": state.distance,
         "soil_changes": float(state.changes),
@@ -450,12 +450,12 @@ def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
         "beyond_belief": float(state.counts[GATED]),
         "no_numbers": float(state.counts[BAD]),
         "steering_deg": math.degrees(math.sqrt(state.steering)),
-        "push_t": push_t,
-        "push_i": push_i,
-        "push_yaw": push_yaw,
+        "push_t": disturbance_t,
+        "push_i": disturbance_i,
+        "push_yaw": disturbance_yaw,
     }
     if state.running:
-        slope = math.asin(max(-1.0, min(1.0, float(state.x[X_SLOPE]) / GRAVITY)))
+        slope = math.asin(max(-1.0, min(1.0, float(state.x[X_BANK]) / GRAVITY)))
         leans = (float(state.x[X_ROLL]), float(state.x[X_ROLL + 1]), slope)
         excitation |= {name: math.degrees(angle) for name, angle in zip(LEANS, leans, strict=True)}
     if state.changed_ns:

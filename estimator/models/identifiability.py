@@ -91,7 +91,7 @@ def sensitivities(
     """
 
     def respond(name: str, nudge: float) -> Array:
-        changed, pace, angle, late = rig, speed, wheel_angle, 0.0
+        changed, pace, angle, delay = rig, speed, wheel_angle, 0.0
         if name == "wheel_zero":
             angle = wheel_angle + nudge
         elif name == "wheel_gain":
@@ -99,10 +99,10 @@ def sensitivities(
         elif name == "speed":
             pace = speed * float(np.exp(nudge))
         elif name == "latency":
-            late = nudge
+            delay = nudge
         else:
             changed = rig._replace(**{name: getattr(rig, name) * float(np.exp(nudge))})
-        return _response(model, changed, pace, angle, dt, outputs, late)
+        return _response(model, changed, pace, angle, dt, outputs, delay)
 
     slopes = [
         (respond(name, IDENTIFIABILITY.step) - respond(name, -IDENTIFIABILITY.step))
@@ -113,15 +113,15 @@ def sensitivities(
 
 
 def _response(
-    model: Model, rig: Rig, speed: float, wheel_angle: Array, dt: float, outputs: Sequence[str], late: float
+    model: Model, rig: Rig, speed: float, wheel_angle: Array, dt: float, outputs: Sequence[str], delay: float
 ) -> Array:
-    """Outputs, shape (n, p), reported `late` seconds after the fact."""
+    """Outputs, shape (n, p), reported `delay` seconds after the fact."""
     sys = system(model, rig, speed, outputs=outputs)
     inputs = np.zeros((len(wheel_angle), len(sys.inputs)))
     inputs[:, 0] = wheel_angle
     states = simulate(model, rig, speed, inputs, np.zeros(len(sys.states)), dt, linear=True)
     values = outputs_of(sys, states, inputs)
-    return values - late * np.gradient(values, dt, axis=0) if late else values
+    return values - delay * np.gradient(values, dt, axis=0) if delay else values
 
 
 def cramer_rao(

@@ -69,7 +69,7 @@ class Way(NamedTuple):
     """Where a tractor goes from where a run begins, at each sample, (n,)."""
 
     ahead: Array  # m
-    aside: Array  # m, to the right
+    lateral_offset: Array  # m, to the right
     lateral_acceleration: Array  # m/s^2
 
 
@@ -142,8 +142,8 @@ def way(rig: Rig, speed: float, angles: Array) -> Way:
     states = simulate(model, rig, speed, inputs, np.zeros(len(whole.states)), DT, linear=True)
     v, r, psi = (states[:, whole.states.index(name)] for name in ("v", "r_t", "psi_t"))
     ahead = np.cumsum(speed * np.cos(psi) - v * np.sin(psi)) * DT
-    aside = np.cumsum(speed * np.sin(psi) + v * np.cos(psi)) * DT
-    return Way(ahead, aside, speed * r)
+    lateral_offset = np.cumsum(speed * np.sin(psi) + v * np.cos(psi)) * DT
+    return Way(ahead, lateral_offset, speed * r)
 
 
 def room(field: Rectangle, along: Array, across: Array, turning: bool) -> float:
@@ -188,5 +188,5 @@ def check(plan: ExperimentPlan, rig: Rig, planned: Iterable[tuple[Scheduled, Arr
 def needed(run: AnyRun, found: Way) -> tuple[float, float]:
     """Length and width of the ground that a run takes with its run-up, m."""
     behind = min(float(np.min(found.ahead)), -PLANNED_RUN.run_up_s * run.speed)
-    sides = float(np.max(found.aside) - np.min(found.aside))
+    sides = float(np.max(found.lateral_offset) - np.min(found.lateral_offset))
     return float(np.max(found.ahead)) - behind, sides + 2 * PLANNED_RUN.beside_m

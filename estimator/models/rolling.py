@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
-from tilth.estimator.models.generated.rolling_kernels import motion, motion_slopes, parameter_slopes
+from tilth.estimator.models.generated.rolling_kernels import motion, motion_by_parameter, motion_by_state
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 
 Array = NDArray[np.float64]
@@ -36,8 +36,8 @@ class MotionRates(NamedTuple):
     M: Array  # (6, 6), mass matrix, then its factors
     right: Array  # (6, 1), then drive's force (N), v', r_t', r_i', p_t', p_i'
     slip: Array  # (3,), alpha'
-    right_slopes: Array  # (6, 17), derivatives of the same by states but psi_i and inputs but u'
-    slip_slopes: Array  # (3, 17)
+    right_by_state: Array  # (6, 17), derivatives of the same by states but psi_i and inputs but u'
+    slip_by_state: Array  # (3, 17)
     right_by_parameter: Array  # (6, 32), by PARAMETERS
     slip_by_parameter: Array  # (3, 32)
 
@@ -93,16 +93,16 @@ def rates(x: Array, w: Array, p: Array, at: MotionRates, out: Array) -> None:
 
 
 @inline_kernel
-def rate_slopes(x: Array, w: Array, p: Array, at: MotionRates) -> None:
-    """Fill right_slopes and slip_slopes of `at`; `rates` has filled its first three at the same state."""
-    at.right_slopes[:] = 0.0
-    motion_slopes(x, w, p, at.right[:, 0], at.right_slopes, at.slip_slopes)
-    solve(at.M, at.right_slopes)
+def rates_by_state(x: Array, w: Array, p: Array, at: MotionRates) -> None:
+    """Fill right_by_state and slip_by_state of `at`; `rates` has filled its first three at the same state."""
+    at.right_by_state[:] = 0.0
+    motion_by_state(x, w, p, at.right[:, 0], at.right_by_state, at.slip_by_state)
+    solve(at.M, at.right_by_state)
 
 
 @inline_kernel
-def rate_slopes_by_parameter(x: Array, w: Array, p: Array, at: MotionRates) -> None:
-    """Fill right_by_parameter and slip_by_parameter, as `rate_slopes` its own."""
+def rates_by_parameter(x: Array, w: Array, p: Array, at: MotionRates) -> None:
+    """Fill right_by_parameter and slip_by_parameter, as `rates_by_state` its own."""
     at.right_by_parameter[:] = 0.0
-    parameter_slopes(x, w, p, at.right[:, 0], at.right_by_parameter, at.slip_by_parameter)
+    motion_by_parameter(x, w, p, at.right[:, 0], at.right_by_parameter, at.slip_by_parameter)
     solve(at.M, at.right_by_parameter)

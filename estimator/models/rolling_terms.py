@@ -20,8 +20,8 @@ ground turns the wheels of either body about its long axis (rad); the tractor's 
 
 PARAMETERS: Final = (
     "C_f", "C_r", "C_i", "sigma_f", "sigma_r", "sigma_i", "a", "b", "c", "d", "e", "m_t", "m_i", "I_t", "I_i",
-    "h_t", "h_i", "h_h", "rolling", "curvature", "k_t", "k_i", "d_t", "d_i", "j_t", "j_i", "pin", "k_f",
-    "camber", "shrink", "parallel", "two_track",
+    "h_t", "h_i", "h_h", "rolling", "curvature", "k_t", "k_i", "d_t", "d_i", "j_t", "j_i", "pivot_height",
+    "k_f", "camber", "slip_dependence", "parallel", "two_track",
 )  # fmt: skip
 """Cornering stiffnesses (N/rad), relaxation lengths (m); parameters.GEOMETRY; heights of the CGs and of the
 drawbar (m); rolling resistance over load; 1 over the largest side force over load. Of the roll modes:
@@ -74,32 +74,32 @@ def is_within(value: float, limit: float) -> float:
 
 
 @kernel
-def kept_length(slip: float, shrink: float) -> float:
+def kept_length(slip: float, slip_dependence: float) -> float:
     """Share of its relaxation length that a tyre keeps: that of a stretched string falls as the secant of the
     tyre curve.
 
     slip: cornering stiffness times slip angle over the largest force, 0 or more.
     """
     lost = 0.5 * slip if slip < 1e-6 else 1.0 + math.expm1(-slip) / slip
-    return max(1.0 - shrink * lost, SHORTEST)
+    return max(1.0 - slip_dependence * lost, SHORTEST)
 
 
 @kernel
-def kept_length_by_slip(slip: float, shrink: float) -> float:
+def kept_length_by_slip(slip: float, slip_dependence: float) -> float:
     """Derivative of `kept_length` by the slip."""
     if slip < 1e-6:
-        return -0.5 * shrink
+        return -0.5 * slip_dependence
     lost = 1.0 + math.expm1(-slip) / slip
-    if 1.0 - shrink * lost < SHORTEST:
+    if 1.0 - slip_dependence * lost < SHORTEST:
         return 0.0
-    return shrink * (math.exp(-slip) + math.expm1(-slip) / slip) / slip
+    return slip_dependence * (math.exp(-slip) + math.expm1(-slip) / slip) / slip
 
 
 @kernel
-def kept_length_by_shrink(slip: float, shrink: float) -> float:
+def kept_length_by_slip_dependence(slip: float, slip_dependence: float) -> float:
     """Derivative of `kept_length` by shrink."""
     lost = 0.5 * slip if slip < 1e-6 else 1.0 + math.expm1(-slip) / slip
-    return -lost if 1.0 - shrink * lost >= SHORTEST else 0.0
+    return -lost if 1.0 - slip_dependence * lost >= SHORTEST else 0.0
 
 
 @kernel

@@ -54,11 +54,11 @@ def relaxation_systems(
             if variant > 0:
                 rig[columns[variant - 1]] *= 1.0 + share
             whole = system_matrix(speed, rig[:9], rig[9:])
-            push = input_matrix(speed, rig[:9], rig[9:])
+            disturbance = input_matrix(speed, rig[:9], rig[9:])
             for i in range(6):
                 for j in range(7):
                     a[point, variant, i, j] = whole[i, keep[j]]
-                b[point, variant, i] = push[i, 0]
+                b[point, variant, i] = disturbance[i, 0]
             a[point, variant, 6, :] = 0.0
             a[point, variant, 6, 1], a[point, variant, 6, 2] = 1.0, -1.0
             b[point, variant, 6] = 0.0
@@ -284,14 +284,14 @@ def packed_systems(
             changed = values.copy()
             if variant:
                 changed[columns[variant - 1]] *= 1 + share
-            whole, push = model.matrices(
+            whole, disturbance = model.matrices(
                 rig._replace(**dict(zip(FIELDS, changed.tolist(), strict=True))), speed
             )
             packed = -np.eye(PACKED)
             packed[np.ix_(used, used)] = whole[np.ix_(bent, bent)]
             packed[6] = np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0, 0.0])
             a[at, variant] = packed
-            b[at, variant, : len(core)] = push[core, 0]
+            b[at, variant, : len(core)] = disturbance[core, 0]
     return a, b
 
 

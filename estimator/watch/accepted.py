@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from tilth.estimator.watch.suspects import DRAWBAR, PAIRS, WHEEL
+from tilth.estimator.watch.hypotheses import DRAWBAR, PAIRS, WHEEL
 from tilth.schemas.flow import Accepted, Mount
 from tilth.schemas.machine import Machine, Quantity, Receiver
 from tilth.schemas.spread import plus_minus

@@ -15,9 +15,19 @@ from numpy.typing import NDArray
 from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.watch import wheel_speed
 from tilth.estimator.watch.accepted import WHEEL_SPEED, in_words, key_of
-from tilth.estimator.watch.evidence import (
+from tilth.estimator.watch.hypotheses import (
+    DRAWBAR,
+    LATENCIES,
+    PAIRS,
+    WHEEL,
+    Explanation,
+    hypotheses,
+    judge,
+    posterior,
+)
+from tilth.estimator.watch.information import (
     KINDS,
-    Evidence,
+    InformationForm,
     N,
     drift,
     lengths,
@@ -25,16 +35,6 @@ from tilth.estimator.watch.evidence import (
     rows,
 )
 from tilth.estimator.watch.sample import sample
-from tilth.estimator.watch.suspects import (
-    DRAWBAR,
-    LATENCIES,
-    PAIRS,
-    WHEEL,
-    Explanation,
-    judge,
-    posterior,
-    suspects,
-)
 from tilth.estimator.watch.wheel_speed import WheelSpeedState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, EventKind, Mount, Pose
 from tilth.schemas.machine import Machine
@@ -65,20 +65,22 @@ class Moved:
     amounts: Array  # (m,) of names[0]: forward and right, m; or one angle, rad; or m
     covariance: Array  # (m, m)
     since_ns: int  # it happened about then
-    before: Evidence  # all samples before that
-    after: Evidence  # those since then
+    before: InformationForm  # all samples before that
+    after: InformationForm  # those since then
     followed: bool = True  # `after` grows, since nothing else has been moved meanwhile
-    now: Evidence | None = None  # of an earlier run's: the samples of this one, by which it may be back
+    now: InformationForm | None = (
+        None  # of an earlier run's: the samples of this one, by which it may be back
+    )
 
 
 @dataclass(slots=True)
 class WatchState:
     """Plain data."""
 
-    old: Evidence = field(default_factory=Evidence)  # all before `blocks`
+    old: InformationForm = field(default_factory=InformationForm)  # all before `blocks`
     old_blocks: float = 0.0  # how many blocks are in it; older ones count less
-    blocks: list[Evidence] = field(default_factory=list)  # the last whole ones
-    block: Evidence = field(default_factory=Evidence)  # of now
+    blocks: list[InformationForm] = field(default_factory=list)  # the last whole ones
+    block: InformationForm = field(default_factory=InformationForm)  # of now
     samples: int = 0  # in it
     mean: Array = field(default_factory=lambda: np.zeros(N))  # of the constants, at the last block
     scatter: Array = field(
@@ -136,22 +138,22 @@ def _end_block(state: WatchState, machine: Machine) -> None:
     seen = np.maximum(variance / lengths(machine).sds ** 2, 1.0)
     state.scatter[enough] += SCATTER_MEMORY * (seen - state.scatter)[enough]
     state.blocks.append(state.block)
-    state.block, state.samples, state.sums = Evidence(), 0, np.zeros((KINDS, 3))
+    state.block, state.samples, state.sums = InformationForm(), 0, np.zeros((KINDS, 3))
     if len(state.blocks) > SINCE[-1]:
         _age(state, state.blocks.pop(0))
 
 
-def _age(state: WatchState, block: Evidence) -> None:
+def _age(state: WatchState, block: InformationForm) -> None:
     keep = 1.0 - 1.0 / MEMORY
     state.old = _sum(
-        [Evidence(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block]
+        [InformationForm(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block]
     )
     state.old_blocks = keep * state.old_blocks + 1.0
 
 
-def _sum(parts: list[Evidence]) -> Evidence:
+def _sum(parts: list[InformationForm]) -> InformationForm:
     since_ns = next((part.since_ns for part in parts if part.since_ns), 0)
-    return Evidence(
+    return InformationForm(
         sum((part.information for part in parts), np.zeros((N, N))),
         sum((part.vector for part in parts), np.zeros(N)),
         since_ns,
@@ -197,7 +199,7 @@ def _follow(state: WatchState, machine: Machine) -> list[Found]:
     return told
 
 
-def _is_back(machine: Machine, moved: Moved, now: Evidence) -> bool:
+def _is_back(machine: Machine, moved: Moved, now: InformationForm) -> bool:
     """Whether the samples of this run contradict what an earlier one had found, and find it in its place."""
     explanations = judge(machine, *posterior(moved.before), now)
     here = next(explanation for explanation in explanations if explanation.name == moved.names[0])
@@ -211,12 +213,12 @@ def carried(machine: Machine, moved: Moved) -> Moved:
 
     Raises ValueError for what is of another version.
     """
-    sizes = {suspect.name: suspect.directions.shape[1] for suspect in suspects(machine)}
+    sizes = {hypothesis.name: hypothesis.directions.shape[1] for hypothesis in hypotheses(machine)}
     size = sizes.get(moved.names[0]) if moved.names else None
     arrays = (moved.before.information, moved.after.information, moved.covariance)
     if [array.shape for array in arrays] != [(N, N), (N, N), (size, size)]:
         raise ValueError(f"what was found of {' or '.join(moved.names)} is of another version")
-    return replace(moved, followed=False, now=Evidence())
+    return replace(moved, followed=False, now=InformationForm())
 
 
 def _set(moved: Moved, explanation: Explanation) -> None:
@@ -270,14 +272,16 @@ def _matters(explanation: Explanation) -> bool:
     return float(np.linalg.norm(explanation.amounts)) > LEAST.get(explanation.name, LEAST_MOVED)
 
 
-def _absorb(state: WatchState, machine: Machine, since: int, before: Evidence, found: Explanation) -> None:
+def _absorb(
+    state: WatchState, machine: Machine, since: int, before: InformationForm, found: Explanation
+) -> None:
     """What was learned before now predicts the samples since: moved by what was found."""
     directions = directions_of(machine, found.name)
     mean, covariance = posterior(before)
     covariance = covariance + drift() + directions @ found.covariance @ directions.T
     information = np.linalg.inv(covariance) - prior_information()
     vector = np.linalg.solve(covariance, mean + directions @ found.amounts)
-    state.old, state.old_blocks = Evidence(information, vector, before.since_ns), float(LEAST_BEFORE)
+    state.old, state.old_blocks = InformationForm(information, vector, before.since_ns), float(LEAST_BEFORE)
     state.blocks = state.blocks[-since:]
 
 
@@ -353,4 +357,4 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
 
 def directions_of(machine: Machine, name: str) -> Any:
     """(N, m): change of the constants by each amount of a suspect."""
-    return next(suspect.directions for suspect in suspects(machine) if suspect.name == name)
+    return next(hypothesis.directions for hypothesis in hypotheses(machine) if hypothesis.name == name)

@@ -42,7 +42,7 @@ WEIGHT_RATE: Final = 4.0  # per (rad/s)^2 of the commanded wheel angle's rate
 SD: Final = np.array([0.02, 0.02, 0.012, 0.012, 0.07, 0.05, 0.02, 0.002])
 """Of MEASURED, SI: what a pose's noise is like. Its turn rates are those of the last message before its
 instant, up to 0.2 s old, and count for less than the receivers' own noise would let them."""
-PUSH_SD: Final = np.array([0.05, 0.15])  # m/s^2 sqrt(s): white pushes on tractor and implement
+DISTURBANCE_SD: Final = np.array([0.05, 0.15])  # m/s^2 sqrt(s): white pushes on tractor and implement
 WALK_SD: Final = np.array([0.002, 0.06])  # of HIDDEN per sqrt(s)
 
 
@@ -130,8 +130,10 @@ def _observer(f: Array, e: Array, outputs: Array) -> Array:
     """The steady Kalman gain at poses POSE_S apart."""
     n, k = len(f), len(HIDDEN)
     one = np.block([[f, e[:, -k:]], [np.zeros((k, n)), np.eye(k)]])
-    push = e[:, 3:5] * PUSH_SD / np.sqrt(TICK_S)
-    noise: Array = np.asarray(block_diag(push @ push.T, np.diag(WALK_SD**2 * TICK_S)), np.float64)
+    disturbance = e[:, 3:5] * DISTURBANCE_SD / np.sqrt(TICK_S)
+    noise: Array = np.asarray(
+        block_diag(disturbance @ disturbance.T, np.diag(WALK_SD**2 * TICK_S)), np.float64
+    )
     noise = noise + 1e-12 * np.eye(n + k)
     over: Array = np.eye(n + k)
     spread: Array = np.zeros((n + k, n + k))

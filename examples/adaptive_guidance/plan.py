@@ -139,12 +139,12 @@ def _forces(tractor: Array, implement: Array, curvature: Array, curvature_i: Arr
         bend = np.gradient(way, STEP, axis=0)
         return np.asarray(-bend[:, 0] * np.sin(body[:, 2]) + bend[:, 1] * np.cos(body[:, 2]))
 
-    push_t, push_i = rig.m_t * across(tractor), rig.m_i * across(implement)
+    force_t, force_i = rig.m_t * across(tractor), rig.m_i * across(implement)
     level = np.cos(tractor[:, 2] - implement[:, 2])
     return -np.column_stack(
         [
-            push_t + push_i * level,
-            rig.I_t * np.gradient(curvature, STEP) - rig.c * push_i * level,
-            rig.I_i * np.gradient(curvature_i, STEP) - rig.d * push_i,
+            force_t + force_i * level,
+            rig.I_t * np.gradient(curvature, STEP) - rig.c * force_i * level,
+            rig.I_i * np.gradient(curvature_i, STEP) - rig.d * force_i,
         ]
     )

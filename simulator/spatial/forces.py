@@ -94,7 +94,7 @@ def tyre_on_ground(
     length, cornering = soil[3 + k // 2], 0.5 * soil[k // 2]
     limit = tyres.grip * load
     driven = tyres.driven[k] * drive
-    pushed = driven - tyres.rolling * load * math.tanh(along / ROLLING_SPEED)
+    traction = driven - tyres.rolling * load * math.tanh(along / ROLLING_SPEED)
     stiffness = stiffness_at(cornering, load, tyres.static[k], tyres.exponent)
     lag = lag_length(tyres.string, length, tyres.curve, math.atan(slip), stiffness, limit)
     after = lagged(slip, along, across, lag, step)
@@ -104,7 +104,7 @@ def tyre_on_ground(
         side *= side_share(driven, limit)
     if load > 0.0:
         side -= carcass_damping(cornering, length, along) * across
-    return pushed, side, after
+    return traction, side, after
 
 
 @kernel
@@ -165,15 +165,15 @@ def apply_forces(
         load = 0.0
         if deflection > 0.0:
             load = max(tyres.stiffness[k] * deflection + tyres.damping[k] * dot(moving, down), 0.0)
-        pushed, side, slip[k] = tyre_on_ground(
+        traction, side, slip[k] = tyre_on_ground(
             k, tyres, soil, drive[0], slip[k], dot(moving, ahead), dot(moving, right), load, camber, step
         )
         if load <= 0.0:
-            pushed = 0.0
+            traction = 0.0
         force = (
-            pushed * ahead[0] + side * right[0] - load * down[0],
-            pushed * ahead[1] + side * right[1] - load * down[1],
-            pushed * ahead[2] + side * right[2] - load * down[2],
+            traction * ahead[0] + side * right[0] - load * down[0],
+            traction * ahead[1] + side * right[1] - load * down[1],
+            traction * ahead[2] + side * right[2] - load * down[2],
         )
         lever = (contact[0] - xipos[b, 0], contact[1] - xipos[b, 1], contact[2] - xipos[b, 2])
         moment = cross(lever, force)
@@ -182,7 +182,7 @@ def apply_forces(
             xfrc[b, 3 + i] += moment[i]
         tyre_rows[k, 0], tyre_rows[k, 1], tyre_rows[k, 2], tyre_rows[k, 3] = (
             load,
-            pushed,
+            traction,
             side,
             math.atan(slip[k]),
         )

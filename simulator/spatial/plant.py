@@ -157,9 +157,9 @@ def settled_plant(
     up, north, east = height(ground, 0.0, 0.0)
     plane_north, plane_east = (north, east) if not len(ground.wave) else map(float, ground.plane)
     ahead = plane_north * math.cos(heading) + plane_east * math.sin(heading)
-    aside = plane_east * math.cos(heading) - plane_north * math.sin(heading)
+    lateral_offset = plane_east * math.cos(heading) - plane_north * math.sin(heading)
     plant.data.qpos[2] = -up - vehicle.masses.h_t
-    plant.data.qpos[3:7] = _quaternion(-math.atan(aside), math.atan(ahead), heading)
+    plant.data.qpos[3:7] = _quaternion(-math.atan(lateral_offset), math.atan(ahead), heading)
     thick = plant.tyres._replace(damping=SETTLING_DAMPING * plant.tyres.damping)
     for _ in range(round(SETTLING_S / step)):
         plant.kinematics()

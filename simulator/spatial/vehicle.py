@@ -24,7 +24,7 @@ GRAVITY: Final = 9.80665
 STIFFNESS: Final[Three] = (250e3, 350e3, 300e3)  # N/m of each tyre: front, rear, implement
 DAMPING_S: Final = 0.012  # vertical damping over stiffness, s: with the side forces 0.10 of the roll mode
 TRACK: Final[Three] = (1.93, 1.93, 2.2)  # m, assumed: rows 76 inches apart, a grain cart
-PIN_HEIGHT: Final = 0.75  # m
+PIVOT_HEIGHT: Final = 0.75  # m
 HITCH_HEIGHT: Final = 0.5  # m, assumed: a drawbar
 ROLL_GYRATION: Final = (1.05, 0.9)  # m, assumed
 PITCH_INERTIA: Final = 0.95  # over the yaw inertia, assumed: a long body
@@ -127,7 +127,7 @@ def _draws(given: Spatial, rng: np.random.Generator) -> dict[str, float]:
     drawn |= {name: float(rng.uniform(*OWN_STIFFNESS)) for name in own}
     if given.draw:
         return drawn
-    plain = {"pin_height": PIN_HEIGHT, "hitch_height": HITCH_HEIGHT, "load_exponent": 0.8}
+    plain = {"pin_height": PIVOT_HEIGHT, "hitch_height": HITCH_HEIGHT, "load_exponent": 0.8}
     ones = dict.fromkeys(("stiffness", "damping", "gyration", "track", *own), 1.0)
     return dict.fromkeys(drawn, 0.0) | ones | plain
 

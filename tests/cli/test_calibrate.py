@@ -28,13 +28,13 @@ pytestmark = pytest.mark.long
 
 PICTURE = ROOT / "docs/pictures/page-demo.png"
 BAD = Changes(
-    late=np.full(4, 0.05), forward=np.array([0.15, -0.1]), aside=np.array([0.1, 0.1]),
+    delay=np.full(4, 0.05), forward=np.array([0.15, -0.1]), lateral_offset=np.array([0.1, 0.1]),
     pair=np.radians([-2.0, 2.0]), hitch=np.array([0.15, -0.1]), wheel_zero=np.radians(3.0), wheel_gain=1.1,
-    wheel_sign=-1, who=(1, 0, 2, 3),
+    wheel_sign=-1, assignment=(1, 0, 2, 3),
 )  # fmt: skip
 WRONG = rewritten(
     MACHINE_TEXT, MACHINE, applied(MACHINE, BAD),
-    {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(BAD.who)}, "by hand",
+    {MOUNTS[device].value: MOUNTS[k].value for k, device in enumerate(BAD.assignment)}, "by hand",
 )  # fmt: skip
 
 
@@ -68,8 +68,8 @@ def test_a_wrong_file_becomes_right(drive: Path, tmp_path: Path, capsys: pytest.
     zero = np.degrees(nuisances["wheel_zero"])
     assert now.wheel_angle.zero.value == pytest.approx(zero, abs=3 * np.degrees(sd["wheel_zero"]))
     assert now.wheel_angle.scale * now.wheel_angle.sign == pytest.approx(0.01, rel=3 * sd["wheel_gain"])
-    late = np.mean([nuisances[f"latency_{mount.value}"] for mount in MOUNTS])
-    assert np.mean([r.latency.value for r in now.receiver]) == pytest.approx(late, abs=3 * sd["latency"])
+    delay = np.mean([nuisances[f"latency_{mount.value}"] for mount in MOUNTS])
+    assert np.mean([r.latency.value for r in now.receiver]) == pytest.approx(delay, abs=3 * sd["latency"])
     assert [r.mount for r in now.receiver if r.name == MACHINE.receiver[0].name] == [
         MACHINE.receiver[0].mount
     ]
@@ -135,8 +135,8 @@ def test_at_one_speed_what_looks_like_a_late_receiver_is_not_told(
     assert now.wheel_angle.zero.value == pytest.approx(zero, abs=3 * sd)
     assert now.wheel_angle.scale == pytest.approx(0.01, rel=3 * numbers["wheel_gain"]["sd"])
     for receiver in now.receiver:
-        late = truth[f"latency_{receiver.mount.value}"]
-        assert receiver.latency.value == pytest.approx(late, abs=2.5 * receiver.latency.sd)
+        delay = truth[f"latency_{receiver.mount.value}"]
+        assert receiver.latency.value == pytest.approx(delay, abs=2.5 * receiver.latency.sd)
 
 
 def test_a_wrong_roll_correction_leaves_nothing_in_the_places(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_a_wrong_roll_correction_leaves_nothing_in_the_places(tmp_path: Path) ->
         found = _looked(applied(MACHINE, Changes(roll_corrected=corrected)), log)
         assert [fault.kind for fault in found.faults] == ["roll_corrected"]
         assert found.changes.hitch == pytest.approx(right.changes.hitch, abs=1e-3)
-        assert found.changes.aside == pytest.approx(right.changes.aside, abs=1e-3)
+        assert found.changes.lateral_offset == pytest.approx(right.changes.lateral_offset, abs=1e-3)
 
 
 def test_of_another_rig(drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ from tilth.client.calibration.shown import (
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
 from tilth.estimator.calibration.stage_words import PARK_S
-from tilth.estimator.calibration.verdict import NOT_TOLD
+from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.schemas.invocation import started_as
 
 pytestmark = pytest.mark.long
@@ -58,7 +58,7 @@ def test_wrong_use_is_a_sentence(words: list[str], said: str, capsys: pytest.Cap
 
 def test_numbers_are_shown_as_before_and_now() -> None:
     answer = computed()
-    answer["numbers"][0]["status"] = NOT_TOLD
+    answer["numbers"][0]["status"] = NOT_IDENTIFIABLE
     state = shown_of(fold_of(STANDS), answer)
     assert list(state.found) == ["two are exchanged"]
     assert [row.words for row in state.numbers] == [number.words for number in NUMBERS]

@@ -12,8 +12,8 @@ from logs import MACHINE
 from loopback import records_of, rig, until
 
 from tilth.cli import main
-from tilth.estimator.watch.evidence import Evidence, N
-from tilth.estimator.watch.suspects import WHEEL, judge, posterior
+from tilth.estimator.watch.hypotheses import WHEEL, judge, posterior
+from tilth.estimator.watch.information import InformationForm, N
 from tilth.estimator.watch.watch import Moved, directions_of
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
@@ -41,8 +41,8 @@ def talker() -> Iterator[can.BusABC]:
 
 def moved(machine: Machine, name: str, amounts: tuple[float, ...]) -> Moved:
     """As if it had been driven for long before and since."""
-    before = Evidence(np.eye(N) * 1e8, np.zeros(N), 1)
-    after = Evidence(np.eye(N) * 1e8, 1e8 * directions_of(machine, name) @ np.array(amounts), 2)
+    before = InformationForm(np.eye(N) * 1e8, np.zeros(N), 1)
+    after = InformationForm(np.eye(N) * 1e8, 1e8 * directions_of(machine, name) @ np.array(amounts), 2)
     first, *_ = judge(machine, *posterior(before), after)
     assert first.name == name
     return Moved([name], first.amounts, first.covariance, 2, before, after)

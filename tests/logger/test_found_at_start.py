@@ -18,8 +18,8 @@ from loopback import numbered, rig
 from tilth.estimator import fold
 from tilth.estimator.fold import save_learned
 from tilth.estimator.methods import pem
-from tilth.estimator.watch.evidence import Evidence
-from tilth.estimator.watch.suspects import WHEEL
+from tilth.estimator.watch.hypotheses import WHEEL
+from tilth.estimator.watch.information import InformationForm
 from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.daemon import Daemon
@@ -53,7 +53,7 @@ def kept() -> dict[str, Any]:
     state = fold.initial(MACHINE)
     state.consistency.confirmed = True
     state.estimators[pem.METHOD].informed_ns = NOW - 5_000_000_000
-    moved = Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, Evidence(), Evidence())
+    moved = Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, InformationForm(), InformationForm())
     text = warm_start_file.text_of(MACHINE, save_learned(state, NOW), NOW, moved=[moved])
     return dict(json.loads(text))
 

@@ -20,8 +20,8 @@ from tilth.estimator.methods.consistency import Finding
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import WARM_START
-from tilth.estimator.watch.evidence import Evidence
-from tilth.estimator.watch.suspects import WHEEL
+from tilth.estimator.watch.hypotheses import WHEEL
+from tilth.estimator.watch.information import InformationForm
 from tilth.estimator.watch.watch import Moved
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
@@ -301,11 +301,13 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
 
 def slipped() -> Moved:
     """The wheels' sensor, by a degree."""
-    return Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, Evidence(), Evidence())
+    return Moved([WHEEL], np.array([0.0175]), 1e-6 * np.eye(1), NOW, InformationForm(), InformationForm())
 
 
 def displaced() -> Moved:
-    return Moved(["tractor_rear"], np.array([0.1, 0.0]), 1e-4 * np.eye(2), NOW, Evidence(), Evidence())
+    return Moved(
+        ["tractor_rear"], np.array([0.1, 0.0]), 1e-4 * np.eye(2), NOW, InformationForm(), InformationForm()
+    )
 
 
 def on_the_disk(folder: Path) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def test_waves_can_be_asked_for_anywhere() -> None:
 
 def test_waves_of_roll_are_five_times_as_long_as_those_of_forces() -> None:
     land = terrain(Ground(roll_sd_deg=1.0, force_sd=0.02, band=(2.0, 8.0)), LEVEL, RIG, rng())
-    for made, shortest, longest in ((land.rolling, 10.0, 40.0), (land.pushing, 2.0, 8.0)):
+    for made, shortest, longest in ((land.rolling, 10.0, 40.0), (land.lateral_force, 2.0, 8.0)):
         length = 2.0 * np.pi / made.wavenumber
         assert length.min() == pytest.approx(shortest, rel=0.1)
         assert length.max() == pytest.approx(longest, rel=0.1)

@@ -123,9 +123,14 @@ def test_the_hitch_holds(rough: Truth) -> None:
         (rough.implement, masses.d, hitch - masses.h_i),
     ):
         back, side = np.cos(track.roll) * np.sin(track.pitch), np.sin(track.roll)
-        ahead, aside = along * np.cos(track.pitch) - up * back, up * side
+        ahead, lateral_offset = along * np.cos(track.pitch) - up * back, up * side
         cosine, sine = np.cos(track.heading), np.sin(track.heading)
-        ends.append((track.x + ahead * cosine - aside * sine, track.y + ahead * sine + aside * cosine))
+        ends.append(
+            (
+                track.x + ahead * cosine - lateral_offset * sine,
+                track.y + ahead * sine + lateral_offset * cosine,
+            )
+        )
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
 
 

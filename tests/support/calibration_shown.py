@@ -11,7 +11,7 @@ from tilth.client.calibration.shown import (
 )
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import NUMBERS
-from tilth.estimator.calibration.verdict import TOLD
+from tilth.estimator.calibration.verdict import IDENTIFIED
 
 STANDS: Plan = ((10, 0.0, 0),)
 
@@ -27,7 +27,8 @@ def shown_of(fold: stages.StageFold, answer: dict[str, Any], phase: str = DRIVIN
 def computed(**changes: Any) -> dict[str, Any]:
     rows = [
         {
-            "name": number.name, "status": TOLD, "sd": number.prior_sd / 20, "prior_sd": number.prior_sd,
+            "name": number.name, "status": IDENTIFIED, "sd": number.prior_sd / 20,
+            "prior_sd": number.prior_sd,
             "wanted_sd": number.wanted_sd, "moved": number.prior_sd / 3, "tell": "",
         }
         for number in NUMBERS

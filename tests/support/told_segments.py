@@ -6,7 +6,7 @@ from logs import with_exact_lengths
 from numpy.typing import NDArray
 
 from tilth.analysis.fit.joint import Linearised
-from tilth.analysis.fit.window_terms import Terms, Told, places
+from tilth.analysis.fit.window_terms import SegmentTerms, Terms, places
 from tilth.estimator.filters import unknowns
 
 Floats = NDArray[np.float64]
@@ -16,7 +16,7 @@ NO_MODEL = np.full(6, 1e-6)
 LEARNED = places(MACHINE)
 
 
-def told(change: Floats, root: Floats, rng: np.random.Generator, model_sd: Floats = NO_MODEL) -> Told:
+def told(change: Floats, root: Floats, rng: np.random.Generator, model_sd: Floats = NO_MODEL) -> SegmentTerms:
     """What a segment says that measures root (rows, learned) @ unknowns with white noise of sd 1, around the
     prior's mean. change: (learned,), the truth less the prior's mean."""
     observed = root @ change + rng.normal(size=len(root))
@@ -25,7 +25,7 @@ def told(change: Floats, root: Floats, rng: np.random.Generator, model_sd: Float
     return (Terms(gradient, information, information, 0.0, model_sd),)
 
 
-def around(segments: list[Told], between_m: float = 0.0) -> Linearised:
+def around(segments: list[SegmentTerms], between_m: float = 0.0) -> Linearised:
     count = len(segments)
     return Linearised(MEAN, tuple(segments), (between_m,) * (count - 1), (30.0,) * count)
 

@@ -9,7 +9,14 @@ from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.propagation import Active
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import N_STATES, Point
-from tilth.estimator.filters.unknowns import AT_ASIDE, AT_CG, AT_HITCH, AT_LEVER, AT_PAIR, AT_SWAY
+from tilth.estimator.filters.unknowns import (
+    AT_CG,
+    AT_HITCH,
+    AT_LATERAL_OFFSET,
+    AT_LEVER,
+    AT_PAIR,
+    AT_ROLL_COMPENSATION,
+)
 
 Array = NDArray[np.float64]
 
@@ -19,9 +26,9 @@ class AntennaSlopes(NamedTuple):
 
     ahead: float  # by its position forward
     back: float  # by the distance of the hitch behind the tractor's CG
-    aside: float  # by its position to the right
+    lateral_offset: float  # by its position to the right
     drawbar: float  # by the height of the drawbar
-    sway: float
+    roll_compensation: float
 
 
 @inner_kernel
@@ -43,24 +50,24 @@ def from_middle(place: int, body: int, setup: RigSetup) -> float:
 
 
 @inner_kernel
-def set_antenna_slopes(
+def set_antenna_jacobian(
     by: AntennaSlopes, place: int, body: int, setup: RigSetup, active: Active, h: Array
 ) -> None:
     """Fill what of h, (30 + a,), is over the unknowns. place: of the antenna, on a body."""
     for j in range(active.places.shape[0]):
-        unknown, slope = active.places[j], 0.0
+        unknown, derivative = active.places[j], 0.0
         if unknown == AT_LEVER + body:
-            slope = by.ahead
+            derivative = by.ahead
         elif unknown == AT_CG and body == 0:
-            slope = -by.ahead
+            derivative = -by.ahead
         elif unknown == AT_PAIR + body:
-            slope = by.aside * from_middle(place, body, setup)
-        elif unknown == AT_SWAY:
-            slope = by.sway
-        elif unknown == AT_ASIDE and body == 1:
-            slope = by.aside
+            derivative = by.lateral_offset * from_middle(place, body, setup)
+        elif unknown == AT_ROLL_COMPENSATION:
+            derivative = by.roll_compensation
+        elif unknown == AT_LATERAL_OFFSET and body == 1:
+            derivative = by.lateral_offset
         elif unknown == AT_HITCH and body == 1 and setup.scale == 1.0:
-            slope = by.drawbar
+            derivative = by.drawbar
         elif body == 1 and unknown != AT_CG + 1:  # this one shifts hitch and antennas alike: no effect
-            slope = by.back * active.geometry[j, 2] - by.ahead * active.geometry[j, 3]
-        h[N_STATES + j] = slope
+            derivative = by.back * active.geometry[j, 2] - by.ahead * active.geometry[j, 3]
+        h[N_STATES + j] = derivative

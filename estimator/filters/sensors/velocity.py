@@ -13,12 +13,12 @@ from tilth.estimator.filters.sensors.antenna import (
     AntennaSlopes,
     drawbar_height,
     lever_ahead,
-    set_antenna_slopes,
+    set_antenna_jacobian,
 )
 from tilth.estimator.filters.sensors.observation import Observation, body_of
 from tilth.estimator.filters.sensors.roll import roll_rate_of
-from tilth.estimator.filters.states import X_PSI, X_R, X_ROLL, X_SLOPE_RATE, X_SPEED, X_V, Point
-from tilth.estimator.filters.unknowns import AT_S_VELOCITY, AT_SWAY
+from tilth.estimator.filters.states import X_BANK_RATE, X_PSI, X_R, X_ROLL, X_SPEED, X_V, Point
+from tilth.estimator.filters.unknowns import AT_ROLL_COMPENSATION, AT_S_VELOCITY
 from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ def predict_velocity(
     place, body = obs.place, body_of(obs.kind, obs.place)
     u, c, d = obs.u + x[X_SPEED], point.geometry[2], point.geometry[3]
     corrected = setup.corrected[place]
-    height = setup.heights[place] + point.unknowns[AT_SWAY] * corrected
+    height = setup.heights[place] + point.unknowns[AT_ROLL_COMPENSATION] * corrected
     lever, drawbar = lever_ahead(place, body, point, setup), drawbar_height(point, setup)
     angle = x[X_PSI] - obs.psi_ref
     sine, cosine = math.sin(angle), math.cos(angle)
@@ -44,12 +44,12 @@ def predict_velocity(
     across = x[X_V] + ahead * x[X_R] + up * rate_t
     value = u * sine + across * cosine
     h[X_V], h[X_SPEED], h[X_PSI] = cosine, sine, u * cosine - across * sine
-    h[X_R], h[X_ROLL + 2], h[X_SLOPE_RATE] = ahead * cosine, up * cosine, up * cosine / GRAVITY
+    h[X_R], h[X_ROLL + 2], h[X_BANK_RATE] = ahead * cosine, up * cosine, up * cosine / GRAVITY
     by = AntennaSlopes(x[X_R] * cosine, 0.0, 0.0, 0.0, rate_t * corrected * cosine)
     if body == 1:
         h[X_R + 1], h[X_ROLL + 3] = lever - d, height - drawbar
-        h[X_SLOPE_RATE + 1] = (height - drawbar) / GRAVITY
+        h[X_BANK_RATE + 1] = (height - drawbar) / GRAVITY
         value += (lever - d) * x[X_R + 1] + (height - drawbar) * rate_i
         by = AntennaSlopes(x[X_R + 1], -x[X_R] * cosine, 0.0, rate_t * cosine - rate_i, rate_i * corrected)
-    set_antenna_slopes(by, place, body, setup, active, h)
+    set_antenna_jacobian(by, place, body, setup, active, h)
     return float(value)

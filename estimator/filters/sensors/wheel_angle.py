@@ -54,7 +54,7 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
 
 
 @inner_kernel
-def wheel_slope(unknown: int, drive: DriveInputs) -> float:
+def wheel_by_unknown(unknown: int, drive: DriveInputs) -> float:
     """Derivative of the true wheel angle by an unknown of its sensor, AT_WHEEL_ZERO to AT_LATENCY."""
     if unknown == AT_WHEEL_ZERO:
         return -drive.wheel_scale

@@ -9,7 +9,7 @@ from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.propagation import Active
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import DT, N_STATES, X_R
-from tilth.estimator.filters.unknowns import AT_RATE_LATE, AT_S_YAW_RATE
+from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, AT_YAW_RATE_DELAY
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ def observe_yaw_rate(obs: Observation, x: Array, following: Array, unknowns: Arr
     """The same with how late it is. x, following: (30,), the state at the ticks before and after."""
     kind, place, share, u, psi_ref, _ = obs
     faster = (following[X_R + place] - x[X_R + place]) / DT
-    return Observation(kind, place, share - unknowns[AT_RATE_LATE + place] / DT, u, psi_ref, faster)
+    return Observation(kind, place, share - unknowns[AT_YAW_RATE_DELAY + place] / DT, u, psi_ref, faster)
 
 
 @inner_kernel
@@ -30,6 +30,6 @@ def predict_yaw_rate(x: Array, obs: Observation, active: Active, h: Array) -> fl
     """rad/s; fills h."""
     h[X_R + obs.place] = 1.0
     for j in range(active.places.shape[0]):
-        if active.places[j] == AT_RATE_LATE + obs.place:
+        if active.places[j] == AT_YAW_RATE_DELAY + obs.place:
             h[N_STATES + j] = -obs.faster
     return float(x[X_R + obs.place])

@@ -45,16 +45,16 @@ def test_changed_values_say_what_stood_there_and_comments_stay() -> None:
 def test_a_second_calibration_says_what_the_first_one_put_there() -> None:
     """Only that, and what people wrote: comments do not grow with each drive."""
     text = TEXT.replace("c = 2.1\n", "c = 2.1  # to the pin, by tape\n")
-    once = applied(MACHINE, Changes(hitch=np.array([0.05, 0.0]), aside=np.array([0.1, 0.0])))
+    once = applied(MACHINE, Changes(hitch=np.array([0.05, 0.0]), lateral_offset=np.array([0.1, 0.0])))
     made = rewritten(text, MACHINE, once, SAME, "2026-05-04")
-    twice = applied(once, Changes(hitch=np.array([-0.02, 0.0]), aside=np.array([0.1, 0.0])))
+    twice = applied(once, Changes(hitch=np.array([-0.02, 0.0]), lateral_offset=np.array([0.1, 0.0])))
     again = rewritten(made, parse_machine(made), twice, SAME, "2026-05-06")
     assert "c = {value = 2.13, sd = 0.02} # calibrate 2026-05-06; was 2.15 (sd 0.02); to the pin" in again
     assert "2026-05-04" not in again and again.count("was [") == 2
 
 
 def test_keys_that_stood_at_their_default_say_it() -> None:
-    changes = Changes(roll_zero=np.array([0.01, 0.0, 0.0, 0.0]), ackermann=-0.1, late=np.full(4, 0.02))
+    changes = Changes(roll_zero=np.array([0.01, 0.0, 0.0, 0.0]), ackermann=-0.1, delay=np.full(4, 0.02))
     made = rewritten(TEXT, MACHINE, applied(MACHINE, changes), SAME, "2026-05-04")
     ackermann = MACHINE.tractor.ackermann
     assert f"was {ackermann.value:g} (sd {ackermann.sd:g}) by default\n" in made
@@ -64,10 +64,12 @@ def test_keys_that_stood_at_their_default_say_it() -> None:
 def test_what_the_file_goes_from_and_to() -> None:
     """The zero is on what is measured: with the scale both change."""
     changes = Changes(
-        wheel_gain=1.1, wheel_zero=np.radians(3.0), hitch=np.array([0.05, 0.0]), aside=np.array([0.1, 0.0]),
-        late=np.array([0.05, -0.02, 0.0, 0.0]), roll_zero=np.array([0.0, 0.01, 0.0, 0.0]), who=(1, 0, 2, 3),
+        wheel_gain=1.1, wheel_zero=np.radians(3.0), hitch=np.array([0.05, 0.0]),
+        lateral_offset=np.array([0.1, 0.0]),
+        delay=np.array([0.05, -0.02, 0.0, 0.0]), roll_zero=np.array([0.0, 0.01, 0.0, 0.0]),
+        assignment=(1, 0, 2, 3),
     )  # fmt: skip
-    places = {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(changes.who)}
+    places = {MOUNTS[device].value: MOUNTS[k].value for k, device in enumerate(changes.assignment)}
     found = from_to(MACHINE, applied(MACHINE, changes), places)
     assert found["wheel_gain"] == "scale 0.01 → 0.00909091"
     assert found["wheel_zero"] == "zero 0 → 2.7273"
@@ -79,8 +81,8 @@ def test_what_the_file_goes_from_and_to() -> None:
 
 
 def test_exchanged_receivers_stay_in_their_order() -> None:
-    changes = Changes(who=(1, 0, 2, 3))
-    places = {MOUNTS[who].value: MOUNTS[k].value for k, who in enumerate(changes.who)}
+    changes = Changes(assignment=(1, 0, 2, 3))
+    places = {MOUNTS[device].value: MOUNTS[k].value for k, device in enumerate(changes.assignment)}
     again = parse_machine(rewritten(TEXT, MACHINE, applied(MACHINE, changes), places, "2026-05-04"))
     assert [r.name for r in again.receiver] == [r.name for r in MACHINE.receiver]
     assert [r.mount for r in again.receiver[:2]] == [MOUNTS[1], MOUNTS[0]]

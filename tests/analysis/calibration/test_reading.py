@@ -78,8 +78,8 @@ def _claims(frame: Frame) -> bool:
 
 def test_names_that_are_claimed_late_are_not_of_another_rig(tmp_path: Path) -> None:
     frames = _frames(MACHINE_TEXT, AWAY)
-    late = [*(f for f in frames if not _claims(f)), *_later((f for f in frames if _claims(f)), 40)]
-    heard = _read(_log(tmp_path / "late.log", late))
+    delay = [*(f for f in frames if not _claims(f)), *_later((f for f in frames if _claims(f)), 40)]
+    heard = _read(_log(tmp_path / "late.log", delay))
     assert heard.rig and not heard.strangers
 
 

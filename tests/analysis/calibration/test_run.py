@@ -55,4 +55,4 @@ def test_the_report_has_all_that_was_found(drive: Path) -> None:
     report = report_of(found)
     assert [section.id for section in report.sections][:2] == ["glance", "numbers"]
     (table,) = [part for part in report.sections[1].parts if isinstance(part, ReportTable)]
-    assert len(table.rows) == len(found.verdict.told) > 10 and report.data == found.as_json()
+    assert len(table.rows) == len(found.verdict.numbers) > 10 and report.data == found.as_json()

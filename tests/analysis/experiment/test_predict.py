@@ -13,7 +13,7 @@ from tilth.analysis.experiment.predict import Known, from_log, from_machine, sds
 from tilth.analysis.fit.fitting import Fitted
 from tilth.analysis.fit.joint import Linearised, linearise
 from tilth.analysis.fit.segment_fit import FittedWindow, SegmentFit
-from tilth.analysis.fit.window_terms import Told, places
+from tilth.analysis.fit.window_terms import SegmentTerms, places
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.models.planned_run import DT, Scheduled
@@ -26,7 +26,7 @@ KNOWN = from_machine(MACHINE)
 
 
 @cache
-def told(replicate: int = 1) -> Told:
+def told(replicate: int = 1) -> SegmentTerms:
     return told_by(KNOWN, Scheduled(1, replicate, RUN), DrivingLimits(), 1)
 
 

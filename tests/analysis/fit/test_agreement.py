@@ -10,13 +10,13 @@ from told_segments import LEARNED, MACHINE, MEAN, SD, Floats, around, drawn, mas
 
 from tilth.analysis.fit.agreement import agree, between_sd, groups, with_room
 from tilth.analysis.fit.joint import Joint, join
-from tilth.analysis.fit.window_terms import Told
+from tilth.analysis.fit.window_terms import SegmentTerms
 from tilth.schemas.spread import WITHIN
 
 
 def segments_of(
     rng: np.random.Generator, truths: Sequence[Floats], rows: int = 60, scale: float = 20.0
-) -> list[Told]:
+) -> list[SegmentTerms]:
     return [told(truth, root_of(rng, rows, scale), rng) for truth in truths]
 
 
@@ -110,7 +110,7 @@ def test_a_shared_error_of_proportion_does_not_pull_the_mean_below() -> None:
     root = np.zeros((6, len(LEARNED)))
     root[:, :6] = np.eye(6) * 10.0
     change = np.zeros(len(LEARNED))
-    segments: list[Told] = []
+    segments: list[SegmentTerms] = []
     for value in (0.0, np.log(1.5)):
         change[:6] = value
         (one,) = told(change, root, np.random.default_rng(1), np.full(6, 0.2))

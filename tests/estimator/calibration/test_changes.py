@@ -76,7 +76,7 @@ def test_what_is_left_of_the_wheel_adds_up(
 
 def test_receivers_keep_what_is_theirs() -> None:
     """Exchanged receivers take places and mounts, not each other's settings."""
-    changed = applied(MACHINE, Changes(who=(2, 1, 0, 3), late=np.array([0.01, 0.0, 0.0, 0.0])))
+    changed = applied(MACHINE, Changes(assignment=(2, 1, 0, 3), delay=np.array([0.01, 0.0, 0.0, 0.0])))
     before = {r.mount: r for r in MACHINE.receiver}
     after = {r.mount: r for r in changed.receiver}
     assert after[MOUNTS[0]].name == before[MOUNTS[2]].name
@@ -84,7 +84,7 @@ def test_receivers_keep_what_is_theirs() -> None:
     assert after[MOUNTS[0]].roll_corrected == before[MOUNTS[2]].roll_corrected
     assert after[MOUNTS[0]].latency.value == pytest.approx(before[MOUNTS[2]].latency.value + 0.01)
     told = Position(0, 0, Origin("can0", 1, 5, MOUNTS[2]), 129025, None, 52.0, 11.0, 0.02)
-    assert heard_after(told, Changes(who=(2, 1, 0, 3))).origin.mount is MOUNTS[0]
+    assert heard_after(told, Changes(assignment=(2, 1, 0, 3))).origin.mount is MOUNTS[0]
 
 
 @pytest.mark.parametrize("k", [0, 1])
@@ -102,15 +102,15 @@ def test_pairs_turn_and_stretch_about_their_middle(k: int) -> None:
 
 
 @pytest.mark.parametrize("early_s", [0.0, 0.03, 0.3])
-@pytest.mark.parametrize("who", [(0, 1, 2, 3), (2, 1, 0, 3)])
+@pytest.mark.parametrize("assignment", [(0, 1, 2, 3), (2, 1, 0, 3)])
 def test_latencies_keep_their_differences_where_one_would_be_too_short(
-    early_s: float, who: tuple[int, ...]
+    early_s: float, assignment: tuple[int, ...]
 ) -> None:
     """A file 0.1 s wrong for all was refused: what differs between its receivers had been cut off."""
     wanted = np.array([0.01, -0.02, -early_s, 0.03])
     stated = {r.mount: r.latency.value for r in MACHINE.receiver}
-    changed = applied(MACHINE, Changes(who=who, late=not_early(MACHINE, who, wanted)))
-    moved = [r.latency.value - stated[MOUNTS[who[MOUNTS.index(r.mount)]]] for r in changed.receiver]
+    changed = applied(MACHINE, Changes(assignment=assignment, delay=not_early(MACHINE, assignment, wanted)))
+    moved = [r.latency.value - stated[MOUNTS[assignment[MOUNTS.index(r.mount)]]] for r in changed.receiver]
     by = np.array(moved)[[[r.mount for r in changed.receiver].index(mount) for mount in MOUNTS]] - wanted
     assert np.ptp(by) < 1e-9 and by[0] >= -1e-9
     assert min(r.latency.value for r in changed.receiver) >= 0.0

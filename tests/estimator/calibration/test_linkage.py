@@ -42,7 +42,7 @@ def _found(made: list[Measurement], machine: Machine = MACHINE) -> tuple[Changes
     for one in made:
         drives.take(heard, one)
     drive = drives.drive_of(heard, machine)
-    changes, _, view, rolls = calibrating._first_look(machine, drive)
+    changes, _, view, rolls = calibrating._initial_guess(machine, drive)
     return calibrating._with_linkage(machine, drive, changes, view, rolls)
 
 

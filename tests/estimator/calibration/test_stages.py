@@ -116,11 +116,11 @@ def test_an_interruption_costs_only_what_was_under_way(
 @pytest.mark.parametrize(
     "bad",
     [
-        Changes(who=(1, 0, 2, 3)),
-        Changes(who=(1, 0, 3, 2)),
-        Changes(who=(2, 3, 0, 1)),
+        Changes(assignment=(1, 0, 2, 3)),
+        Changes(assignment=(1, 0, 3, 2)),
+        Changes(assignment=(2, 3, 0, 1)),
         Changes(wheel_sign=-1, wheel_gain=3.0),
-        Changes(pair=np.radians([3.0, -3.0]), late=np.array([0.1, 0.0, 0.05, 0.15])),
+        Changes(pair=np.radians([3.0, -3.0]), delay=np.array([0.1, 0.0, 0.05, 0.15])),
     ],
 )
 def test_a_wrong_file_spoils_no_stage(bad: Changes, parts: dict[str, list[Measurement]]) -> None:

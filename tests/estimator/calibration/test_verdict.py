@@ -7,8 +7,8 @@ import pytest
 from logs import MACHINE
 
 from tilth.estimator.calibration import priors
-from tilth.estimator.calibration.first_look import Straightness
-from tilth.estimator.calibration.verdict import TOLD, Told, _not_driven, soil_cost
+from tilth.estimator.calibration.initial_guess import DrivingCoverage
+from tilth.estimator.calibration.verdict import IDENTIFIED, NumberVerdict, _not_covered, soil_cost
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.schemas.flow import PARAMETERS
 
@@ -21,8 +21,8 @@ def test_what_numbers_cost_goes_with_the_sds_that_are_published(published: float
     covariance[gain, gain] = 0.002**2
     covariance[c_af, gain] = covariance[gain, c_af] = 10.0 * 0.002**2
     covariance[c_af, c_af] = 0.01**2 + (10.0 * 0.002) ** 2
-    told = [Told(priors.NUMBER["wheel_gain"], 0.0, published, None, None, TOLD)]
-    whole, share = soil_cost(covariance, MACHINE, told)[PARAMETERS[0]]
+    numbers = [NumberVerdict(priors.NUMBER["wheel_gain"], 0.0, published, None, None, IDENTIFIED)]
+    whole, share = soil_cost(covariance, MACHINE, numbers)[PARAMETERS[0]]
     assert share == pytest.approx(10.0 * published, rel=1e-3)
     assert whole == pytest.approx(math.hypot(0.01, 10.0 * published), rel=1e-3)
 
@@ -35,5 +35,5 @@ def test_there_and_back_need_not_be_on_one_line(there: int, back: int, one_way: 
     eighths = np.zeros(8)
     eighths[there] += 40.0
     eighths[back] += 30.0
-    said = list(_not_driven(Straightness(eighths, 60.0, 60.0, 60.0, 60.0), np.zeros(3)))
+    said = list(_not_covered(DrivingCoverage(eighths, 60.0, 60.0, 60.0, 60.0), np.zeros(3)))
     assert [one.startswith("Straight driving in one direction") for one in said] == [True] * one_way

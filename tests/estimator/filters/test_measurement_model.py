@@ -16,13 +16,13 @@ from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import (
     N_STATES,
-    X_ASIDE,
+    X_BANK,
+    X_LATERAL_OFFSET,
     X_PAIR,
     X_POSITION,
     X_PSI,
     X_R,
     X_ROLL,
-    X_SLOPE,
     X_V,
     Point,
 )
@@ -66,14 +66,14 @@ def rate(x: Array) -> Array:
     return out
 
 
-@pytest.mark.parametrize("sway", [0.0, 1.0], ids=["as its position", "of the antenna"])
+@pytest.mark.parametrize("roll_compensation", [0.0, 1.0], ids=["as its position", "of the antenna"])
 @pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize("seed", range(3))
-def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int, sway: float) -> None:
+def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int, roll_compensation: float) -> None:
     """Of a receiver that corrects its position for roll it may be that of the antenna all the same."""
     x, point = somewhere(seed)
-    point.unknowns[AT["sway"]] = sway
-    antennas = SETUP._replace(heights=SETUP.heights + sway * SETUP.corrected)
+    point.unknowns[AT["sway"]] = roll_compensation
+    antennas = SETUP._replace(heights=SETUP.heights + roll_compensation * SETUP.corrected)
     step = 1e-5 * rate(x)
     north, east = (
         (value(x + step, kind, place, point, antennas) - value(x - step, kind, place, point, antennas)) / 2e-5
@@ -96,8 +96,8 @@ def test_slow_errors_of_receivers_stand_still_while_a_body_turns(heading: float)
         moved = np.array([value(off, kind, k, point) - value(x, kind, k, point) for k in range(4)])
         arms = SETUP.levers[:, 0] - np.repeat(SETUP.middles[:, 0], 2)
         pair = off[[X_PAIR + east, X_PAIR + east, X_PAIR + 2 + east, X_PAIR + 2 + east]]
-        aside = off[X_ASIDE + east] * np.array([0.0, 0.0, 1.0, 1.0])
-        np.testing.assert_allclose(moved, arms * pair + aside, atol=1e-12)
+        lateral_offset = off[X_LATERAL_OFFSET + east] * np.array([0.0, 0.0, 1.0, 1.0])
+        np.testing.assert_allclose(moved, arms * pair + lateral_offset, atol=1e-12)
         assert arms[0] == -arms[1] > 0.5 and arms[2] == -arms[3] > 0.5
 
 
@@ -122,7 +122,7 @@ def test_a_receiver_on_the_axle_of_the_implement_moves_as_its_wheels_do(seed: in
 def test_a_roll_is_lean_and_slope_a_little_ago_with_its_zero(place: int) -> None:
     x, point = somewhere(1)
     body = place // 2
-    x[X_SLOPE + body] = 0.3
+    x[X_BANK + body] = 0.3
     late = point.unknowns[AT["roll_late_t"] + body]
     zero = point.unknowns[AT["roll_zero_tractor_front"] + place]
     lean = x[X_ROLL + body] - late * x[X_ROLL + 2 + body]

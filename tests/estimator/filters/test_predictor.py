@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.predictor import Innovations
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.states import DT, N_STATES, X_ASIDE, X_PAIR, X_POSITION, X_SPEED, Places
+from tilth.estimator.filters.states import DT, N_STATES, X_LATERAL_OFFSET, X_PAIR, X_POSITION, X_SPEED, Places
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, ROLL_ZEROS
 from tilth.estimator.record.record import (
     EAST,
@@ -70,9 +70,9 @@ def run(
     *,
     places: Places = likelihood.NOTHING,
     closed: bool = True,
-    driven: Array = likelihood.NO_READINGS,
+    instruments: Array = likelihood.NO_READINGS,
 ) -> Innovations:
-    return likelihood.innovations(record, SETUP, START, point, places, closed=closed, driven=driven)
+    return likelihood.innovations(record, SETUP, START, point, places, closed=closed, instruments=instruments)
 
 
 def difference(name: str, closed: bool) -> Array:
@@ -128,7 +128,7 @@ def test_derivatives_pass_through_the_filter_as_changes_of_the_readings_do() -> 
     derivatives are its response to those of the open loop, at the same gains."""
     record = turning()
     found = run(record, MEAN, places=ALL).de
-    response = run(record, MEAN, places=ALL, driven=run(record, MEAN, places=ALL, closed=False).de).de
+    response = run(record, MEAN, places=ALL, instruments=run(record, MEAN, places=ALL, closed=False).de).de
     scale = np.abs(found).max(axis=0)
     np.testing.assert_allclose(found / scale, response / scale, atol=1e-9)
 
@@ -136,11 +136,11 @@ def test_derivatives_pass_through_the_filter_as_changes_of_the_readings_do() -> 
 def test_a_response_is_that_to_changed_readings() -> None:
     """With the gains held, as they are in a filter whose readings change by little."""
     record = turning()
-    driven = np.random.default_rng(2).normal(size=(len(record.rows), 1)) * record.rows[:, [SD]]
+    instruments = np.random.default_rng(2).normal(size=(len(record.rows), 1)) * record.rows[:, [SD]]
     rows = record.rows.copy()
-    rows[:, VALUE] += 1e-4 * driven[:, 0]
+    rows[:, VALUE] += 1e-4 * instruments[:, 0]
     changed = run(Record(0, record.ticks, rows), MEAN).e
-    found = run(record, MEAN, places=ALL[:1], driven=driven).de[:, 0]
+    found = run(record, MEAN, places=ALL[:1], instruments=instruments).de[:, 0]
     sd = record.rows[:, SD]
     np.testing.assert_allclose(found / sd, (changed - run(record, MEAN).e) / 1e-4 / sd, atol=0.05)
 
@@ -169,7 +169,7 @@ def test_a_mirrored_record_gives_mirrored_innovations() -> None:
     sign = np.where(np.isin(NAMES, ODD), -1.0, 1.0)
     of_rows = np.where(np.isin(record.rows[:, KIND], ODD_KINDS), -1.0, 1.0)
     of_states = np.full(N_STATES, -1.0)
-    of_states[[X_POSITION, X_SPEED, X_PAIR, X_PAIR + 2, X_ASIDE]] = 1.0  # to north, forward
+    of_states[[X_POSITION, X_SPEED, X_PAIR, X_PAIR + 2, X_LATERAL_OFFSET]] = 1.0  # to north, forward
     there = likelihood.innovations(record, SETUP, start, point, ALL)
     back = likelihood.innovations(mirrored(record), mirrored_setup(), of_states * start, sign * point, ALL)
     sd = np.sqrt(there.S)

@@ -9,7 +9,7 @@ import pytest
 from settled import MACHINE, driven_on, point_of, seen, settled_rolling
 
 from tilth.estimator.filters import steady_outputs
-from tilth.estimator.filters.states import X_PUSH, X_ROLL
+from tilth.estimator.filters.states import X_DISTURBANCE, X_ROLL
 from tilth.estimator.filters.steady_outputs import (
     INPUTS,
     OUTPUTS,
@@ -78,7 +78,7 @@ def test_a_rig_that_folds_goes_on_as_expected(degrees: float, speed: float, fold
     point, delta = point_of(rolling=0.06, camber=0.2), math.radians(degrees)
     turn = steady_outputs._solved(point, np.array([speed, delta, 0.0, 0.0, folding]), MACHINE)[0].x
     slopes = -turn[X_ROLL : X_ROLL + 2]  # measured roll is 0
-    at = driven_on(point, turn[:X_PUSH], speed, delta, slopes, 0.5)
+    at = driven_on(point, turn[:X_DISTURBANCE], speed, delta, slopes, 0.5)
     measured = [speed, delta, slopes[0] + at["phi_t"], slopes[1] + at["phi_i"]]
     without, left = (
         outputs(point[None], np.array([[*measured, rate]]), MACHINE)[0] - seen(at)

@@ -9,25 +9,25 @@ from stretches import ACTIVE, READINGS, SETUP, Array, half_a_stretch, moved, som
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.propagation import (
-    set_slopes,
+    set_bank,
 )
 from tilth.estimator.filters.states import (
+    BANK_LENGTH,
+    BANK_STATES,
     DT,
     N_STATES,
-    SLOPE_LENGTH,
     X_ALPHA,
+    X_BANK,
+    X_BANK_RATE,
+    X_DISTURBANCE,
     X_PAIR,
     X_POSITION,
     X_PSI,
-    X_PUSH,
     X_R,
     X_ROLL,
-    X_SLOPE,
-    X_SLOPE_RATE,
     X_UNEVEN,
     X_V,
 )
-from tilth.estimator.filters.states import SLOPES as SLOPE_STATES
 from tilth.estimator.filters.transition import empty_transition
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.models import nonlinear
@@ -36,7 +36,7 @@ from tilth.estimator.models.parameters import GEOMETRY
 PLANAR = [X_V, X_R, X_R + 1, X_ALPHA, X_ALPHA + 1, X_ALPHA + 2, X_PSI, X_PSI + 1, X_POSITION, X_POSITION + 1]
 """The states that the planar model has too, in its order of `simulated`."""
 LOW = SETUP._replace(
-    rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pin=0.0, k_f=1e30)
+    rig=SETUP.rig._replace(h_t=0.0, h_i=0.0, h_h=0.0), roll=SETUP.roll._replace(pivot_height=0.0, k_f=1e30)
 )
 """Everything at the ground: then no force leans a body."""
 HEIGHTS = [AT[name] for name in ("roll_pin", "roll_hitch", "roll_cg_t", "roll_cg_i", "camber", "shrink")]
@@ -48,11 +48,11 @@ def at_the_ground(point: Array) -> Array:
     return out
 
 
-def slopes_move(speed: float) -> Array:
+def bank_matrix(speed: float) -> Array:
     """(4, 4): d/dt of both cross slopes and their rates. Both are critically damped, the tractor's to nothing
-    over SLOPE_LENGTH, the implement's to the tractor's over half of the way from CG to axle each time."""
+    over BANK_LENGTH, the implement's to the tractor's over half of the way from CG to axle each time."""
     c, d, e = LOW.geometry[2:5]
-    own, behind = speed / SLOPE_LENGTH, 2.0 * speed / (c + d + e)
+    own, behind = speed / BANK_LENGTH, 2.0 * speed / (c + d + e)
     return np.array([
         [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0],
         [-(own**2), 0.0, -2.0 * own, 0.0], [behind**2, -(behind**2), 0.0, -2.0 * behind],
@@ -63,14 +63,14 @@ def test_the_implement_meets_the_cross_slope_of_the_tractor_where_its_wheels_com
     step = empty_transition.interpreted()(0, 0, 1)
     c, d, e = LOW.geometry[2:5]
     for speed in (1.5, 2.0, 4.5):
-        set_slopes.interpreted()(speed, LOW, step)
-        np.testing.assert_allclose(step.slope, expm(DT * slopes_move(speed)), atol=1e-6)
+        set_bank.interpreted()(speed, LOW, step)
+        np.testing.assert_allclose(step.bank, expm(DT * bank_matrix(speed)), atol=1e-6)
         followed = np.array([0.0, 0.0, 0.0, 0.0])
         late = 0.0
         for _ in range(round(60.0 / speed / DT)):
             followed[[0, 2]] = 1.0, 0.0  # from here on the tractor is on a slope
             late += (1.0 - followed[1]) * DT * speed
-            followed = step.slope @ followed
+            followed = step.bank @ followed
         assert late == pytest.approx(c + d + e, rel=0.03)  # m, the mean delay of a step
 
 
@@ -83,7 +83,7 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
     grips = dict.fromkeys(("grip_f", "grip_r", "grip_i"), 1.0 / point[AT["curvature"]])
     rig = LOW.rig._replace(**changes, **grips)
     time = DT * np.arange(len(readings))
-    slopes = np.array([expm(t * slopes_move(4.5)) @ x[list(SLOPE_STATES)] for t in time]).T
+    slopes = np.array([expm(t * bank_matrix(4.5)) @ x[list(BANK_STATES)] for t in time]).T
     inputs = nonlinear.inputs_of(
         len(readings),
         delta=(readings - point[AT["wheel_zero"]]) * math.exp(-point[AT["wheel_gain"]]),
@@ -100,7 +100,7 @@ def simulated(x: Array, point: Array, readings: Array) -> Array:
 
 def test_with_everything_at_the_ground_the_mean_moves_as_the_nonlinear_model_does() -> None:
     x, point = somewhere(1)
-    x[X_ROLL:X_PSI] = x[X_PUSH:X_SLOPE] = x[X_UNEVEN:X_SLOPE_RATE] = 0.0
+    x[X_ROLL:X_PSI] = x[X_DISTURBANCE:X_BANK] = x[X_UNEVEN:X_BANK_RATE] = 0.0
     point = at_the_ground(point)
     after = moved(x, point, READINGS, 20, 5, LOW)
     late = point[AT["latency"]] / DT * (READINGS[1] - READINGS[0])
@@ -137,12 +137,14 @@ def test_what_the_ground_does_is_not_in_slopes_by_steering() -> None:
     for seed in range(12):
         x, point = somewhere(seed)
         covariance, P_xx = np.diag(np.isin(np.arange(len(point)), ACTIVE).astype(float)), np.eye(N_STATES)
-        steered = x.copy()
-        steered[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
-        steered[X_PUSH:X_PAIR] = 0.0
-        own = half_a_stretch(x, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
-        by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, steered=steered)[2][:X_PUSH, SIX]
-        there = half_a_stretch(steered, point, covariance, P_xx, size=1)[2][:X_PUSH, SIX]
+        instrument = x.copy()
+        instrument[X_ALPHA:X_ROLL] += 0.02  # as the ground has pushed the rig elsewhere
+        instrument[X_DISTURBANCE:X_PAIR] = 0.0
+        own = half_a_stretch(x, point, covariance, P_xx, size=1)[2][:X_DISTURBANCE, SIX]
+        by_steering = half_a_stretch(x, point, covariance, P_xx, size=1, instrument=instrument)[2][
+            :X_DISTURBANCE, SIX
+        ]
+        there = half_a_stretch(instrument, point, covariance, P_xx, size=1)[2][:X_DISTURBANCE, SIX]
         scale = np.abs(there).max(axis=0)
         far.append(np.abs((by_steering - there) / scale).max())
         assert np.all(np.abs((by_steering - own) / scale).max(axis=0) > 0.5)

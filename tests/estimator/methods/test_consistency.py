@@ -316,7 +316,7 @@ def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
     checks, events = state.consistency, list[tuple[str, str]]()
     checks.confirmed = True
     for _ in range(200):  # poses, 40 s
-        checks.learned, checks.rates_known, checks.open.push[3] = 100, True, uneven**2
+        checks.learned, checks.rates_known, checks.open.disturbance[3] = 100, True, uneven**2
         events += consistency.observe(checks, machine, state.aligner, state.checks, pose, None, {})
     accused = [kind for kind, _ in events]
     assert accused == ([CONTRADICTION] if uneven < open_tracker.OPEN_TRACKER.rough else [])

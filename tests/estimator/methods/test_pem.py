@@ -42,7 +42,7 @@ from tilth.simulator.traffic import traffic
 
 Array = NDArray[np.float64]
 
-PUSHES, MEMORY = (0.3, 0.15, 0.05), 0.1  # as unknowns.NOISES
+DISTURBANCES, MEMORY = (0.3, 0.15, 0.05), 0.1  # as unknowns.NOISES
 LASTS = math.exp(-DT / MEMORY)
 SDS = (math.radians(0.2), math.radians(0.3))
 SPEED = 4.5
@@ -68,11 +68,11 @@ def record_of_own_model(rig: Rig, seed: int, seconds: float = 30.0, kind: str = 
     n = round(seconds / DT)
     time: Array = np.arange(n, dtype=np.float64) * DT
     wheel = manoeuvre_named(kind).wheel_angle(time, math.radians(8.0), rng)
-    f, g, pushed = discrete(rig)
-    states, push = np.zeros((n, 8)), rng.standard_normal((n, 3)) * PUSHES
+    f, g, disturbance_gain = discrete(rig)
+    states, disturbance = np.zeros((n, 8)), rng.standard_normal((n, 3)) * DISTURBANCES
     for k in range(n - 1):
-        states[k + 1] = f @ states[k] + g * (wheel[k] + wheel[k + 1]) / 2 + pushed @ push[k]
-        push[k + 1] = LASTS * push[k] + math.sqrt(1.0 - LASTS**2) * push[k + 1]
+        states[k + 1] = f @ states[k] + g * (wheel[k] + wheel[k + 1]) / 2 + disturbance_gain @ disturbance[k]
+        disturbance[k + 1] = LASTS * disturbance[k] + math.sqrt(1.0 - LASTS**2) * disturbance[k + 1]
     ticks = np.zeros((n, 8))
     ticks[:, 0], ticks[:, 1], ticks[:, 2:4], ticks[:, 4:6] = wheel, SPEED, states[:, 6:8], states[:, 1:3]
     rows = [
@@ -104,15 +104,15 @@ def test_the_likelihood_is_that_of_one_large_normal_distribution(machine: Machin
     record = record_of_own_model(rig, 3, seconds=0.6)
     mean, _ = alone(machine)
     mean[SIX] = np.log(rig.theta)
-    mean[AT["push_t"] : AT["memory"] + 1] = np.log([*PUSHES, MEMORY])
+    mean[AT["push_t"] : AT["memory"] + 1] = np.log([*DISTURBANCES, MEMORY])
     setup = without_pairs(machine)
     first_state = likelihood.first_state(record, setup)
     found = likelihood.innovations(record, setup, first_state, mean)
-    f, g, pushed = discrete(rig)
-    whole_f = np.block([[f, pushed], [np.zeros((3, 8)), LASTS * np.eye(3)]])
+    f, g, disturbance_gain = discrete(rig)
+    whole_f = np.block([[f, disturbance_gain], [np.zeros((3, 8)), LASTS * np.eye(3)]])
     n, first = len(record.ticks), first_state[PLANAR]
-    start = np.diag(np.square([*np.array(START)[PLANAR], *PUSHES]))
-    shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(PUSHES))])
+    start = np.diag(np.square([*np.array(START)[PLANAR], *DISTURBANCES]))
+    shock = np.diag([*[0.0] * 8, *((1.0 - LASTS**2) * np.square(DISTURBANCES))])
     centre, spreads = [first], [start]
     for k in range(n - 1):
         wheel_angle = (record.ticks[k, 0] + record.ticks[k + 1, 0]) / 2
@@ -294,7 +294,7 @@ def test_the_beginning_of_a_record_teaches_nothing() -> None:
         run = linear_plant.plant(rig_of(MACHINE), seed, "row", 4.0, 1.8)
         point = mean.copy()
         point[SIX], point[AT["wheel_zero"]] = np.log(run.rig.theta), run.zero
-        point[AT["push_t"] : AT["memory"] + 1] = np.log([*linear_plant.PUSHES, linear_plant.MEMORY_S])
+        point[AT["push_t"] : AT["memory"] + 1] = np.log([*linear_plant.DISTURBANCES, linear_plant.MEMORY_S])
         search = likelihood.search_of(linear_plant.record_of(run), setup, point, covariance)
         at = likelihood.with_gains(search, likelihood.evaluate(search, point))
         slope, known = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))
@@ -336,10 +336,12 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
     record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 3, "random", 15.0, 4.0))
     mean, sd = unknowns.prior(MACHINE)
     search = likelihood.search_of(record, rig_setup(MACHINE), mean, np.diag(sd**2))
-    driven = likelihood.response_to_steering(search, mean)
-    steered = likelihood._run(search, mean, search.active[SIX], driven=driven).de.T
-    at = likelihood.evaluate(search, mean, driven=driven)
-    assert np.abs(at.steered - steered).max() < 1e-9 * np.abs(steered).max()
+    instruments = likelihood.response_to_steering(search, mean)
+    instrument_response = likelihood._run(search, mean, search.active[SIX], instruments=instruments).de.T
+    at = likelihood.evaluate(search, mean, instruments=instruments)
+    assert (
+        np.abs(at.instrument_response - instrument_response).max() < 1e-9 * np.abs(instrument_response).max()
+    )
     other = np.array([0.2, -0.1, 0.3, 0.1, -0.3, 0.2])
 
     def gradient(one: likelihood.Iterate) -> Array:
@@ -353,11 +355,11 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
         known.append(np.linalg.inv(information)[SIX, SIX])
         by_ground, by_steering = (
             gradient(replace(left, e=left.e + slopes.T @ other)) - gradient(left)
-            for slopes in (at.de[SIX] - steered, steered)
+            for slopes in (at.de[SIX] - instrument_response, instrument_response)
         )
         assert np.abs(by_steering).max() > 10.0
         if moved_by_ground is not None:
-            all_of = (at.de[SIX] * search.scored / at.S) @ (at.de[SIX] - steered).T @ other
+            all_of = (at.de[SIX] * search.scored / at.S) @ (at.de[SIX] - instrument_response).T @ other
             assert by_ground == pytest.approx(moved_by_ground * all_of, abs=1e-3 * np.abs(all_of).max())
     _, whole = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))
     assert known[0] == pytest.approx(np.linalg.inv(whole)[SIX, SIX], rel=1e-4, abs=1e-9)

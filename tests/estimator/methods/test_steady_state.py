@@ -191,7 +191,7 @@ LOW: Final = {"h_t": 0.0, "h_i": 0.0, "h_h": 0.0, "w_f": 1e-6, "w_r": 1e-6, "w_i
 def low(monkeypatch: pytest.MonkeyPatch) -> None:
     """The filters' model has no height and no track."""
     setup = rig_setup(MACHINE)
-    planar = setup._replace(rig=setup.rig._replace(**LOW), roll=setup.roll._replace(pin=0.0))
+    planar = setup._replace(rig=setup.rig._replace(**LOW), roll=setup.roll._replace(pivot_height=0.0))
     monkeypatch.setattr(steady_outputs, "rig_setup", lambda machine: planar)
 
 

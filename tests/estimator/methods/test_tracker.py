@@ -18,24 +18,24 @@ from tilth.estimator.filters.propagation import (
     Active,
     first_covariance,
     ground_at,
-    set_geometry_slopes,
-    set_slopes,
+    set_bank,
+    set_geometry_jacobian,
 )
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import (
+    BANK_LENGTH,
+    BANK_STATES,
     N_STATES,
-    SLOPE_LENGTH,
     X_ALPHA,
+    X_DISTURBANCE,
     X_POSITION,
     X_PSI,
-    X_PUSH,
     X_R,
     X_ROLL,
     X_V,
     Point,
 )
-from tilth.estimator.filters.states import SLOPES as SLOPE_STATES
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
     GATED,
@@ -98,14 +98,14 @@ KINDS = (
 @pytest.mark.parametrize("speed", [2.0, 4.5])
 def test_cross_slopes_keep_the_spread_of_the_prior_and_go_together(speed: float) -> None:
     step, setup = empty_transition.interpreted()(0, 0, 1), rig_setup(MACHINE)
-    set_slopes.interpreted()(speed, setup, step)
-    found = solve_discrete_lyapunov(step.slope, step.slope_noise)
+    set_bank.interpreted()(speed, setup, step)
+    found = solve_discrete_lyapunov(step.bank, step.bank_noise)
     sds = np.sqrt(np.diag(found))
-    assert sds[:2] == pytest.approx(setup.slope_sd, rel=0.05)
-    assert sds[2] == pytest.approx(setup.slope_sd * speed / SLOPE_LENGTH, rel=0.05)
+    assert sds[:2] == pytest.approx(setup.bank_sd, rel=0.05)
+    assert sds[2] == pytest.approx(setup.bank_sd * speed / BANK_LENGTH, rel=0.05)
     assert 0.9 < found[0, 1] / (sds[0] * sds[1]) < 0.999
     ground = ground_at.interpreted()(unknowns.prior(MACHINE)[0])
-    at_first = first_covariance.interpreted()(speed, ground, setup)[np.ix_(SLOPE_STATES, SLOPE_STATES)]
+    at_first = first_covariance.interpreted()(speed, ground, setup)[np.ix_(BANK_STATES, BANK_STATES)]
     assert np.linalg.eigvalsh(at_first).min() > 0.0
     assert (np.diag(at_first) > 0.95 * np.diag(found)).all()  # a run may begin in a turn on a slope
 
@@ -119,15 +119,15 @@ def test_what_steering_alone_would_do_begins_anew_where_it_runs_away(
 ) -> None:
     state = tracker.initial(MACHINE)
     state.x, _ = somewhere(1)
-    state.steered = state.x.copy()
-    state.steered[place] += by
-    before = state.steered.copy()
+    state.instrument = state.x.copy()
+    state.instrument[place] += by
+    before = state.instrument.copy()
     tracker._keep_near(state)
     if kept:
-        np.testing.assert_array_equal(state.steered, before)
+        np.testing.assert_array_equal(state.instrument, before)
         return
-    np.testing.assert_array_equal(state.steered[:X_PUSH], state.x[:X_PUSH])
-    assert not state.steered[X_PUSH:].any()
+    np.testing.assert_array_equal(state.instrument[:X_DISTURBANCE], state.x[:X_DISTURBANCE])
+    assert not state.instrument[X_DISTURBANCE:].any()
 
 
 def test_the_first_look_is_where_to_begin_and_tells_no_more() -> None:
@@ -154,7 +154,7 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
         geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_STATES + len(ACTIVE))
         active = Active(ACTIVE, np.zeros((len(ACTIVE), 9)))
         where = Point(point, np.exp(point[SIX]), geometry)
-        set_geometry_slopes.interpreted()(where, active)
+        set_geometry_jacobian.interpreted()(where, active)
         value = run(x, Observation(kind, place, 0.0, 4.5, 0.3, 0.0), where, active, SETUP, h)
         return value, h
 
@@ -310,9 +310,9 @@ def test_rough_ground_asks_for_a_larger_change_of_soil(uneven: float, least: flo
 
 def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -> None:
     state = tracker.initial(MACHINE)
-    state.push[3] = 0.003**2
+    state.disturbance[3] = 0.003**2
     before = np.diag(tracker.reported_covariance(state))
-    state.push[3] = unknowns.ROUGH**2
+    state.disturbance[3] = unknowns.ROUGH**2
     wider = np.diag(tracker.reported_covariance(state)) - before
     assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
     assert wider[3:] == pytest.approx(0.0, abs=1e-15)
@@ -360,10 +360,10 @@ def test_rough_ground_is_believed_at_once_and_smooth_ground_slowly() -> None:
     changed = []
     for ratio in (3.0, 1.0 / 3.0):
         state = tracker.initial(MACHINE)
-        before = state.push.copy()
+        before = state.disturbance.copy()
         for _ in range(10):
             tracker._adapt_noise(state, np.vstack([np.zeros((4, 2)), np.tile([ratio, 1.0], (5, 1))]))
-        changed.append(state.push / before)
+        changed.append(state.disturbance / before)
     assert (changed[0] > 1.8).all()
     assert (changed[1] > 0.9).all()
     assert (changed[1] < 1.0).all()

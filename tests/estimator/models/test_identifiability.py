@@ -164,13 +164,15 @@ def test_whitening_is_that_of_the_joint_covariance() -> None:
     white = whitened(RELAXATION, TABLE_5_1, 4.5, DT, sensors, slopes, DISTURBANCES)
     sys = system(RELAXATION, TABLE_5_1, 4.5, outputs=["r_t", "psi_i"])
     f, _, _ = discretise(sys.a, sys.b, DT)
-    push = np.diag([DISTURBANCES.get(name, 0.0) * DT for name in sys.states])
+    disturbance = np.diag([DISTURBANCES.get(name, 0.0) * DT for name in sys.states])
     sampled = [(k, i) for k in range(n) for i, s in enumerate(sensors) if k % s.every == 0]
     power = [np.linalg.matrix_power(f, k) for k in range(n)]
     rows = []
     for k, i in sampled:
         rows.append(
-            np.concatenate([sys.c[i] @ power[k - 1 - j] @ push if j < k else np.zeros(9) for j in range(n)])
+            np.concatenate(
+                [sys.c[i] @ power[k - 1 - j] @ disturbance if j < k else np.zeros(9) for j in range(n)]
+            )
         )
     reach = np.array(rows)
     joint = reach @ reach.T + np.diag([sensors[i].sd ** 2 for _, i in sampled])

@@ -68,11 +68,11 @@ def _equations() -> tuple[Callable[..., Array], Callable[..., Array]]:
         x_force = along * sp.cos(facing) - across * sp.sin(facing)
         y_force = along * sp.sin(facing) + across * sp.cos(facing)
         acting.append((point, x_force * world.x + y_force * world.y))
-    for body, push, moment in ((t, EXTRA[0], EXTRA[1]), (i, EXTRA[2], EXTRA[3])):
+    for body, disturbance, moment in ((t, EXTRA[0], EXTRA[1]), (i, EXTRA[2], EXTRA[3])):
         centre, frame = me.Point("C"), me.ReferenceFrame("B")
         centre.set_vel(world, body[0].diff("t") * world.x + body[1].diff("t") * world.y)
         frame.set_ang_vel(world, body[2].diff("t") * world.z)
-        acting.append((centre, push * (sp.cos(body[2]) * world.y - sp.sin(body[2]) * world.x)))
+        acting.append((centre, disturbance * (sp.cos(body[2]) * world.y - sp.sin(body[2]) * world.x)))
         acting.append((frame, moment * world.z))
     method = me.LagrangesMethod(energy, q, hol_coneqs=hitch, forcelist=acting, frame=world)
     method.form_lagranges_equations()
@@ -109,8 +109,8 @@ def _by_energy(rig: Rig, x: Array, w: Array) -> Array:
     speeds = [*velocity_t, r_t, *velocity_i, r_i]
     places = [x[0], x[1], psi_t, towed[0], towed[1], psi_i]
     forces = nonlinear.wheels(rig, x, w)[:, 1:]
-    pushes = [rig.m_t * w[1] + w[5], w[6], rig.m_i * w[2] + w[7], w[8]]
-    values = [*speeds, *places, w[0], *forces.ravel(), *pushes, *(getattr(rig, name) for name in G)]
+    disturbances = [rig.m_t * w[1] + w[5], w[6], rig.m_i * w[2] + w[7], w[8]]
+    values = [*speeds, *places, w[0], *forces.ravel(), *disturbances, *(getattr(rig, name) for name in G)]
     mass, forcing = _equations()
     solution = np.linalg.solve(mass(*values), forcing(*values).ravel())
     ax, ay, dr_t, _, _, dr_i = solution[6:12]  # after the six q'

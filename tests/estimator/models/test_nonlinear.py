@@ -171,9 +171,9 @@ def test_roll_moments_balance() -> None:
         forces = wheels(rig, x, w)
         load, across = forces[:, 0].reshape(3, 2), forces[:, 2]
         rate = derivative(rig, x, w)
-        push_t = across[:2].sum() * math.cos(w[0]) + forces[:2, 1].sum() * math.sin(w[0]) + across[2:4].sum()
+        force_t = across[:2].sum() * math.cos(w[0]) + forces[:2, 1].sum() * math.sin(w[0]) + across[2:4].sum()
         inertia = rig.m_t * (rate[5] + x[4] * x[6] - w[1]) - w[5]
-        hitch = inertia - push_t  # across the tractor
+        hitch = inertia - force_t  # across the tractor
         shifts = (load[:, 0] - load[:, 1]) / 2 * [rig.w_f, rig.w_r, rig.w_i]
         # Accelerations under static loads stand in for the final ones: hence not to the last digit.
         shift_on_tractor = shifts[0] + shifts[1]

@@ -104,9 +104,9 @@ def test_a_limited_rate_reaches_its_target() -> None:
 def test_the_way_of_straight_wheels_is_straight_and_a_held_angle_goes_round() -> None:
     straight = way(TABLE_5_1, 4.0, np.zeros(501))
     assert straight.ahead[-1] == pytest.approx(40.0, rel=0.01)
-    assert np.abs(straight.aside).max() == 0.0
+    assert np.abs(straight.lateral_offset).max() == 0.0
     held = way(TABLE_5_1, 3.0, np.full(4001, math.radians(8)))
-    radius = (held.aside.max() - held.aside.min()) / 2
+    radius = (held.lateral_offset.max() - held.lateral_offset.min()) / 2
     assert radius == pytest.approx(TABLE_5_1.wheelbase / math.tan(math.radians(8)), rel=0.15)
     assert held.lateral_acceleration[-1] == pytest.approx(9.0 / radius, rel=0.05)
 

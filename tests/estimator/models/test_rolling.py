@@ -11,9 +11,9 @@ from tilth.estimator.models.rolling import (
     BY_INPUT,
     N_COLUMNS,
     empty_motion,
-    rate_slopes,
-    rate_slopes_by_parameter,
     rates,
+    rates_by_parameter,
+    rates_by_state,
 )
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, STATES
 
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 Values = dict[str, float]
 
 MODES = {
-    "k_t": 466e3, "k_i": 1.0e6, "d_t": 18e3, "d_i": 20e3, "j_t": 11.4e3, "j_i": 3.1e3, "pin": 0.75,
-    "k_f": 466e3, "camber": 0.0, "shrink": 0.0, "parallel": 0.0, "two_track": 1.0,
+    "k_t": 466e3, "k_i": 1.0e6, "d_t": 18e3, "d_i": 20e3, "j_t": 11.4e3, "j_i": 3.1e3, "pivot_height": 0.75,
+    "k_f": 466e3, "camber": 0.0, "slip_dependence": 0.0, "parallel": 0.0, "two_track": 1.0,
 }  # fmt: skip
 RNG = np.random.default_rng(5)
-_rates, _slopes, _empty = rates.interpreted(), rate_slopes.interpreted(), empty_motion.interpreted()
-_by_parameter = rate_slopes_by_parameter.interpreted()
+_rates, _slopes, _empty = rates.interpreted(), rates_by_state.interpreted(), empty_motion.interpreted()
+_by_parameter = rates_by_parameter.interpreted()
 
 
 def parameters(rig: Rig, **changes: float) -> Array:
@@ -67,13 +67,17 @@ def test_with_everything_at_the_ground_it_is_the_planar_model(front_drive: float
     driven = np.zeros(len(nonlinear.INPUTS))
     driven[:5] = [w["delta"], w["gravity_t"], w["gravity_i"], 4.5, RNG.uniform(-10e3, 10e3)]
     wanted = dict(zip(nonlinear.STATES, nonlinear.derivative(low, planar, driven), strict=True))
-    got = moved(x, w | {"u_rate": wanted["u"]}, parameters(low, pin=0.0, two_track=0.0))
+    got = moved(x, w | {"u_rate": wanted["u"]}, parameters(low, pivot_height=0.0, two_track=0.0))
     for name in STATES[:6]:
         assert got[name] == pytest.approx(wanted[name], rel=1e-9, abs=1e-12), name
 
 
 def test_left_and_right_are_alike() -> None:
-    x, w, p = some_state(0.03), some_inputs(0.01), parameters(TABLE_5_1, camber=0.2, shrink=0.5, parallel=0.4)
+    x, w, p = (
+        some_state(0.03),
+        some_inputs(0.01),
+        parameters(TABLE_5_1, camber=0.2, slip_dependence=0.5, parallel=0.4),
+    )
     there = moved(x, w, p)
     mirrored = {name: value if name in ("u", "u_rate") else -value for name, value in w.items()}
     back = moved({name: -value for name, value in x.items()}, mirrored, p)
@@ -96,7 +100,7 @@ def test_on_a_slope_a_body_at_rest_leans_downhill_by_what_statics_say() -> None:
     forces = (front, rear, flat.m_i * 0.3 - hitch)
     for name, force, stiffness in zip("fri", forces, flat.theta[:3], strict=True):
         x[f"alpha_{name}"] = force / stiffness
-    got = moved(x, w, parameters(flat, pin=0.0))
+    got = moved(x, w, parameters(flat, pivot_height=0.0))
     assert [got[name] for name in ("v", "r_t", "r_i", "p_t", "p_i")] == pytest.approx([0.0] * 5, abs=1e-5)
 
 
@@ -129,7 +133,7 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
     x[6:10] *= 0.1
     x[10:] = rng.uniform(-0.5, 0.5, 2)
     w = np.array([*rng.uniform(-0.5, 0.5, 3), *rng.uniform(-0.01, 0.01, 2), 4.5, rng.uniform(-0.5, 0.5)])
-    p = parameters(TABLE_5_1._replace(front_drive=0.3), camber=0.2, shrink=0.5, parallel=0.4)
+    p = parameters(TABLE_5_1._replace(front_drive=0.3), camber=0.2, slip_dependence=0.5, parallel=0.4)
     p[: len(PARAMETERS)] *= rng.uniform(0.8, 1.25, len(PARAMETERS))
 
     def at(z: Array) -> Array:
@@ -143,8 +147,8 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
         _rates(x, w, p, motion, out)
         _slopes(x, w, p, motion)
         _by_parameter(x, w, p, motion)
-    right = np.hstack([motion.right_slopes, motion.right_by_parameter])
-    slip = np.hstack([motion.slip_slopes, motion.slip_by_parameter])
+    right = np.hstack([motion.right_by_state, motion.right_by_parameter])
+    slip = np.hstack([motion.slip_by_state, motion.slip_by_parameter])
     found = np.vstack([right[1:4], slip, right[4:6]])
     z = np.concatenate([x[:BY_INPUT], w[:6], p[: len(PARAMETERS)]])
     for j, value in enumerate(z):

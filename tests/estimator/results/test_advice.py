@@ -18,14 +18,24 @@ from tilth.estimator.filters.propagation import (
     empty_plant,
     ground_at,
     linearise,
+    set_bank,
     set_plant,
     set_processes,
-    set_slopes,
     stationary,
 )
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.sensors.wheel_angle import set_wheel_noise
-from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_POSITION, X_PSI, X_PUSH, X_V, Point
+from tilth.estimator.filters.states import (
+    ACROSS,
+    ALONG,
+    DT,
+    N_STATES,
+    X_DISTURBANCE,
+    X_POSITION,
+    X_PSI,
+    X_V,
+    Point,
+)
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
@@ -168,7 +178,7 @@ def one_tick(setup: RigSetup, point: Point) -> Transition:
     set_plant.interpreted()(plant, point, setup, nothing)
     ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0, 1)
     ticks[:, 1] = SPEED
-    set_slopes.interpreted()(SPEED, setup, step)
+    set_bank.interpreted()(SPEED, setup, step)
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step, 0)
     set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
     linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
@@ -185,7 +195,7 @@ def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
     x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(ground, setup))
     for k in range(len(wheel) - 1):
         x[k + 1] = step.F @ x[k] + noise[k]
-        x[k + 1, :X_PUSH] += step.wheel * (wheel[k] + wheel[k + 1]) / 2
+        x[k + 1, :X_DISTURBANCE] += step.wheel * (wheel[k] + wheel[k + 1]) / 2
         v, psi = (x[k, X_V] + x[k + 1, X_V]) / 2, (x[k, X_PSI] + x[k + 1, X_PSI]) / 2
         forward, right = DT * SPEED + along[k], DT * v + across[k]
         x[k + 1, X_POSITION] = x[k, X_POSITION] + forward * math.cos(psi) - right * math.sin(psi)

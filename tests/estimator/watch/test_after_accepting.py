@@ -20,7 +20,7 @@ from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state_json import to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.estimator.watch.accepted import corrected
-from tilth.estimator.watch.suspects import DRAWBAR, PAIRS, WHEEL
+from tilth.estimator.watch.hypotheses import DRAWBAR, PAIRS, WHEEL
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Accepted, Estimate, Event, Frame, Status
 from tilth.schemas.machine import Machine

@@ -13,9 +13,9 @@ from tilth.estimator.record.record import KIND, NORTH, PLACE, VELOCITY
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.watch import watch
 from tilth.estimator.watch.accepted import corrected, in_words, key_of, line_of
-from tilth.estimator.watch.evidence import AT, KINDS, N, lengths, rows
+from tilth.estimator.watch.hypotheses import DRAWBAR, LATENCIES, PAIRS, WHEEL, Explanation, hypotheses
+from tilth.estimator.watch.information import AT, KINDS, N, lengths, rows
 from tilth.estimator.watch.sample import BodySample, Sample, sample
-from tilth.estimator.watch.suspects import DRAWBAR, LATENCIES, PAIRS, WHEEL, Explanation, suspects
 from tilth.estimator.watch.watch import BLOCK, Found, WatchState
 from tilth.schemas.flow import Accepted, Mount, Pose
 from tilth.simulator.traffic import simulate
@@ -207,7 +207,7 @@ def test_a_moved_receiver_changes_measurements_as_its_directions_say(
         readings.append(rows(RIG, found))
     (kinds, design, before), (_, _, after) = readings
     assert list(kinds) == list(range(KINDS))
-    moved = next(suspect for suspect in suspects(MACHINE) if suspect.name == mount.value)
+    moved = next(hypothesis for hypothesis in hypotheses(MACHINE) if hypothesis.name == mount.value)
     assert after - before == pytest.approx(design @ moved.directions @ np.array(amounts), abs=0.0005)
 
 

@@ -363,9 +363,14 @@ def settled_model(
     modes = {"k_t": 652e3, "k_i": 726e3, "d_t": 6e4, "d_i": 6e4, "j_t": 1e4, "j_i": 2e3, "k_f": 466e3}
     known = RIG._asdict() | modes
     known |= dict(zip(("C_f", "C_r", "C_i", "sigma_f", "sigma_r", "sigma_i"), SOIL.tolist(), strict=True))
-    known |= {"h_h": v.HITCH_HEIGHT, "pin": v.PIN_HEIGHT, "rolling": rolling, "curvature": 1.0 / 0.7}
+    known |= {
+        "h_h": v.HITCH_HEIGHT,
+        "pivot_height": v.PIVOT_HEIGHT,
+        "rolling": rolling,
+        "curvature": 1.0 / 0.7,
+    }
     known |= dict(zip(("w_f", "w_r", "w_i"), v.TRACK, strict=True))
-    known |= {"camber": 0.0, "shrink": 0.5, "parallel": parallel, "two_track": 1.0}
+    known |= {"camber": 0.0, "slip_dependence": 0.5, "parallel": parallel, "two_track": 1.0}
     known |= {"exponent": 0.8, "front_drive": 0.0}
     p = np.array([{"g": v.GRAVITY, **known}[name] for name in (*PARAMETERS, *CONSTANTS)])
     x, rate = np.zeros(len(STATES)), np.zeros(len(STATES))

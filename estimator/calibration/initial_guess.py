@@ -36,8 +36,8 @@ RELAXATIONS_M: Final = (0.0, 0.3, 0.7, 1.1, 1.6)  # that are tried with each, of
 USUAL: Final = ((0.0, 0.1), (0.8, 0.4))  # s and m, with their sds, of both: they look much alike
 UNUSUAL: Final = 0.03  # share by which one sd from what is usual makes a fit worse
 SLOW_M, SLOW_S = 0.01, 60.0  # errors of positions that last: how large, how long
-LATE_TOLD: Final = 0.01  # s: sd of how much later one is than another, from which on it is used
-LATE_SD: Final = 0.05  # s, of the same where a drive does not tell it
+IDENTIFIED_DELAY_SD: Final = 0.01  # s: sd of how much later one is than another, from which on it is used
+DELAY_SD: Final = 0.05  # s, of the same where a drive does not tell it
 HITCH_BLOCK: Final = 400  # rows that may err together: 40 s of two coordinates
 
 
@@ -61,12 +61,12 @@ class Pairs:
         return np.asarray(np.isfinite(self.heading).all(1) & np.isfinite(self.along).all(1))
 
 
-def seen(drive: DriveGrid, machine: Machine, roll: Array, late: Array) -> Pairs:
-    """roll: rad, (n, 2), of both bodies, 0 where unknown. late: s, (4,), beyond the file's latencies."""
+def seen(drive: DriveGrid, machine: Machine, roll: Array, delay: Array) -> Pairs:
+    """roll: rad, (n, 2), of both bodies, 0 where unknown. delay: s, (4,), beyond the file's latencies."""
     by_mount = {r.mount: r for r in machine.receiver}
     pitch = np.column_stack([mean_of_known(drive.pitch[:, k : k + 2]) for k in (0, 2)])
-    at = drive.at + drive.velocity * late[:, None]
-    moving = _later(drive, late)
+    at = drive.at + drive.velocity * delay[:, None]
+    moving = _later(drive, delay)
     heading, middle = np.full((len(drive.t), 2), np.nan), np.full((len(drive.t), 2, 2), np.nan)
     along, across, lengths = (np.full((len(drive.t), 2), np.nan) for _ in range(3))
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
@@ -97,10 +97,10 @@ def mean_of_known(angles: Array) -> Array:
     return np.asarray(np.where(known, angles, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
-def _later(drive: DriveGrid, late: Array) -> Array:
+def _later(drive: DriveGrid, delay: Array) -> Array:
     """Velocities of receivers that report so much later than the grid takes for granted, (n, 4, 2)."""
     found = drive.velocity.copy()
-    for k, by in enumerate(late):
+    for k, by in enumerate(delay):
         for axis in range(2):
             if len(drive.t):
                 found[:, k, axis] = np.interp(drive.t + by, drive.t, drive.velocity[:, k, axis])
@@ -122,7 +122,7 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> tuple[Array, Array]:
     """By how much each receiver is later than the mean of its body's, s, (4,), and the sds of how much later
     one of a pair is than the other, s, (2,): so much longer is the pair the faster it drives. In turns, too:
     along a body all points are equally fast, but for what stands aside. What is not told is 0."""
-    late, sds = np.zeros(4), np.full(2, LATE_SD)
+    delay, sds = np.zeros(4), np.full(2, DELAY_SD)
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         rows = view.known & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
         u = view.along[rows, body]
@@ -130,9 +130,9 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> tuple[Array, Array]:
         apart = ((drive.at[rows, front] - drive.at[rows, rear]) * ahead).sum(axis=1)
         found = solve(np.column_stack([np.ones(len(u)), -u]), apart, np.array([30.0, 0.15]), NOISE_M)
         sd = math.hypot(float(found.sds[1]), _slow_error(u))
-        if sd < LATE_TOLD:
-            late[front], late[rear], sds[body] = found.value[1] / 2, -found.value[1] / 2, sd
-    return late, sds
+        if sd < IDENTIFIED_DELAY_SD:
+            delay[front], delay[rear], sds[body] = found.value[1] / 2, -found.value[1] / 2, sd
+    return delay, sds
 
 
 def _slow_error(u: Array) -> float:
@@ -186,8 +186,8 @@ def wheel_by_the_way(view: Pairs, wheelbase: float, rate: Array) -> tuple[Solved
     """`wheel` and `explained`, with the wheel as much earlier as goes with the way best: weaving quickly, a
     tractor turns up to half a second after its wheels."""
     tried = []
-    for late in LAGS:
-        then = np.concatenate([np.full(late, np.nan), view.wheel[: len(view.wheel) - late]])
+    for delay in LAGS:
+        then = np.concatenate([np.full(delay, np.nan), view.wheel[: len(view.wheel) - delay]])
         earlier = replace(view, wheel=then)
         found = wheel(earlier, wheelbase, rate)
         tried.append((found, explained(earlier, wheelbase, rate, found)))
@@ -233,20 +233,20 @@ def common_latency(view: Pairs, wheelbase: float, found: Solved) -> float:
     zero, gain, under = found.value
     best = (math.inf, 0.0)
     for relaxation in RELAXATIONS_M:
-        for late in WHEEL_DELAY_S:
-            then = t - late - relaxation / u
+        for delay in WHEEL_DELAY_S:
+            then = t - delay - relaxation / u
             angle = (np.interp(then, view.t[good], view.wheel[good]) - zero) / gain
             left = np.tan(angle) * u / (wheelbase + under / gain * u * u) - r
             away = sum(
-                ((x - m) / sd) ** 2 for x, (m, sd) in zip((float(late), relaxation), USUAL, strict=True)
+                ((x - m) / sd) ** 2 for x, (m, sd) in zip((float(delay), relaxation), USUAL, strict=True)
             )
             size = float(np.mean(np.abs(left[SMOOTH:-SMOOTH]))) * (1.0 + UNUSUAL * away)
-            best = min(best, (size, float(late)))
+            best = min(best, (size, float(delay)))
     return best[1]
 
 
 @dataclass(frozen=True, slots=True)
-class Straightness:
+class DrivingCoverage:
     """How much of what is needed was driven, s."""
 
     directions: Array = field(default_factory=lambda: np.zeros(8))  # straight driving, by eighths of north
@@ -256,14 +256,14 @@ class Straightness:
     weaved: float = 0.0  # with the wheels turned, faster than SLOW
 
 
-def driven(view: Pairs) -> Straightness:
+def coverage(view: Pairs) -> DrivingCoverage:
     """Of a drive."""
     known, u = view.known, view.along[:, 0]
     rate = np.nan_to_num(view.rate[:, 0])
     straight = known & (np.abs(rate) < STRAIGHT) & (u > CRUISE)
     eighths = np.floor(view.heading[straight, 0] / (2 * np.pi) * 8).astype(np.int64) % 8
     folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > FOLDED
-    return Straightness(
+    return DrivingCoverage(
         np.bincount(eighths, minlength=8).astype(np.float64) * STEP_S,
         float(np.count_nonzero(known & (rate < -0.05) & (u > MOVING))) * STEP_S,
         float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * STEP_S,

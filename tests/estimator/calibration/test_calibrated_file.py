@@ -9,42 +9,44 @@ import pytest
 from logs import MACHINE
 
 from tilth.estimator.calibration.calibrate import Calibration
+from tilth.estimator.calibration.calibrated_file import calibrated_machine, identified_changes
 from tilth.estimator.calibration.changes import Changes
 from tilth.estimator.calibration.priors import NUMBER
-from tilth.estimator.calibration.told_file import told_changes, told_machine
-from tilth.estimator.calibration.verdict import NOT_TOLD, TOLD, RigVerdict, Told
+from tilth.estimator.calibration.verdict import IDENTIFIED, NOT_IDENTIFIABLE, NumberVerdict, RigVerdict
 
 FOUND = cast(  # what of a calibration goes into the file
     Calibration,
     SimpleNamespace(
-        changes=Changes(hitch=np.array([0.12, -0.2]), wheel_zero=0.02, wheel_gain=1.1), late_sd=np.zeros(3)
+        changes=Changes(hitch=np.array([0.12, -0.2]), wheel_zero=0.02, wheel_gain=1.1), delay_sd=np.zeros(3)
     ),
 )
 
 
 def verdict(**sds: float) -> RigVerdict:
     """Numbers that are named are told with that sd, the others are not told."""
-    told = tuple(
-        Told(number, 0.0, sds.get(name, 1.0), None, None, TOLD if name in sds else NOT_TOLD)
+    numbers = tuple(
+        NumberVerdict(
+            number, 0.0, sds.get(name, 1.0), None, None, IDENTIFIED if name in sds else NOT_IDENTIFIABLE
+        )
         for name, number in NUMBER.items()
     )
-    return RigVerdict(told, 0.0, 0, 1.0, {}, ())
+    return RigVerdict(numbers, 0.0, 0, 1.0, {}, ())
 
 
 def test_where_nothing_is_told_the_file_stays() -> None:
-    changes = told_changes(FOUND, verdict())
+    changes = identified_changes(FOUND, verdict())
     assert not changes.hitch.any() and (changes.wheel_zero, changes.wheel_gain) == (0.0, 1.0)
-    assert told_machine(MACHINE, FOUND, verdict()) == MACHINE
+    assert calibrated_machine(MACHINE, FOUND, verdict()) == MACHINE
 
 
 def test_one_number_is_told_and_the_others_stay() -> None:
-    after = told_machine(MACHINE, FOUND, verdict(c=0.015))
+    after = calibrated_machine(MACHINE, FOUND, verdict(c=0.015))
     assert after.tractor.c.sd == 0.015
     assert abs(after.tractor.c.value - MACHINE.tractor.c.value) == pytest.approx(0.12)
     assert (after.implement, after.wheel_angle) == (MACHINE.implement, MACHINE.wheel_angle)
 
 
 def test_units_are_those_of_the_file() -> None:
-    wheel = told_machine(MACHINE, FOUND, verdict(wheel_zero=0.003)).wheel_angle
+    wheel = calibrated_machine(MACHINE, FOUND, verdict(wheel_zero=0.003)).wheel_angle
     assert wheel.zero.sd == pytest.approx(math.degrees(0.003)) and wheel.gain == MACHINE.wheel_angle.gain
     assert abs(wheel.zero.value - MACHINE.wheel_angle.zero.value) == pytest.approx(math.degrees(0.02))

@@ -11,12 +11,12 @@ from kinematic_drive import GUIDED, MACHINE, ONE_SIDE, ONE_SPEED, ROWS, Plan, me
 from tilth.estimator.calibration import calibrate as calibrating
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
-from tilth.estimator.calibration import first_look
+from tilth.estimator.calibration import initial_guess
+from tilth.estimator.calibration.assignment import assign
 from tilth.estimator.calibration.calibrate import CannotCalibrate
 from tilth.estimator.calibration.changes import Changes, applied, heard_after
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.verdict import _not_driven
-from tilth.estimator.calibration.who import standing
+from tilth.estimator.calibration.verdict import _not_covered
 from tilth.schemas.flow import FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 
@@ -48,15 +48,15 @@ def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.
     """The machine file after the first look, and the faults."""
     wrong = applied(MACHINE, bad)
     drive = _drive(wrong, [heard_after(m, bad) for m in made])
-    changes, faults, _, _ = calibrating._first_look(wrong, drive)
+    changes, faults, _, _ = calibrating._initial_guess(wrong, drive)
     return applied(wrong, changes), faults
 
 
 def test_values_are_found(heard: list[Measurement]) -> None:
     """Wrong by what people are wrong by, all at once."""
     bad = Changes(
-        late=np.array([0.07, 0.05, -0.02, -0.04]), forward=np.array([0.15, -0.2]),
-        aside=np.array([-0.1, 0.12]), pair=np.radians([2.0, -3.0]), hitch=np.array([0.2, -0.15]),
+        delay=np.array([0.07, 0.05, -0.02, -0.04]), forward=np.array([0.15, -0.2]),
+        lateral_offset=np.array([-0.1, 0.12]), pair=np.radians([2.0, -3.0]), hitch=np.array([0.2, -0.15]),
         wheel_zero=math.radians(4.0), wheel_gain=1.12,
         roll_zero=np.radians([2.0, -1.0, 3.0, 0.5]),
     )  # fmt: skip
@@ -78,13 +78,13 @@ def test_values_are_found(heard: list[Measurement]) -> None:
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, 0.0), (-0.03, 0.04)])
 def test_uphill_and_down_neither_hitch_nor_receivers_seem_to_move(slope: tuple[float, float]) -> None:
     """An antenna 3 m up goes back by 30 cm where it climbs 6 degrees, and forward on the way down."""
-    bad = Changes(late=np.array([0.03, 0.01, -0.02, -0.04]), hitch=np.array([0.1, -0.1]))
+    bad = Changes(delay=np.array([0.03, 0.01, -0.02, -0.04]), hitch=np.array([0.1, -0.1]))
     found, _ = _look(bad, measurements(GUIDED, slope=slope))
-    late = [
+    delay = [
         now.latency.value - right.latency.value
         for right, now in zip(MACHINE.receiver, found.receiver, strict=True)
     ]
-    assert np.ptp(late) < 0.004
+    assert np.ptp(delay) < 0.004
     assert found.tractor.c.value == pytest.approx(MACHINE.tractor.c.value, abs=0.015)
     assert _reach(found) == pytest.approx(_reach(MACHINE), abs=0.01)
 
@@ -97,24 +97,24 @@ def _reach(machine: Machine) -> float:
 @pytest.mark.parametrize(("plan", "told"), [(GUIDED, True), (ONE_SPEED, False)])
 def test_how_late_receivers_are_apart_is_told_by_two_speeds(plan: Plan, told: bool) -> None:
     """At one speed what is late looks like what stands further back, and nothing of it is taken."""
-    late = np.array([0.03, -0.04, 0.02, -0.01])
-    wrong = applied(MACHINE, Changes(late=late))
+    delay = np.array([0.03, -0.04, 0.02, -0.01])
+    wrong = applied(MACHINE, Changes(delay=delay))
     made = [m for m in measurements(plan, slope=(0.0, 0.0)) if m.rx_ns * 1e-9 > 1020.0 or told]
     drive = _drive(wrong, made)
-    changes, _, view, _ = calibrating._first_look(wrong, drive)
-    found, sds = first_look.latency_differences(drive, view)
-    between = float(first_look.hitch(view).sds[4])
+    changes, _, view, _ = calibrating._initial_guess(wrong, drive)
+    found, sds = initial_guess.latency_differences(drive, view)
+    between = float(initial_guess.hitch(view).sds[4])
     most = float(max(*sds, between))
-    assert (most < first_look.LATE_TOLD) == told
-    apart = changes.late - changes.late.mean()
-    expected = late.mean() - late if told else np.zeros(4)
+    assert (most < initial_guess.IDENTIFIED_DELAY_SD) == told
+    apart = changes.delay - changes.delay.mean()
+    expected = delay.mean() - delay if told else np.zeros(4)
     assert apart == pytest.approx(expected, abs=0.004)
     assert told or (found == 0.0).all()
 
 
-@pytest.mark.parametrize("who", [(1, 0, 2, 3), (0, 1, 3, 2), (2, 3, 0, 1), (2, 1, 0, 3), (3, 1, 0, 2)])
-def test_who_stands_where(who: tuple[int, ...], heard: list[Measurement]) -> None:
-    found, faults = _look(Changes(who=who), heard)
+@pytest.mark.parametrize("assignment", [(1, 0, 2, 3), (0, 1, 3, 2), (2, 3, 0, 1), (2, 1, 0, 3), (3, 1, 0, 2)])
+def test_who_stands_where(assignment: tuple[int, ...], heard: list[Measurement]) -> None:
+    found, faults = _look(Changes(assignment=assignment), heard)
     assert {fault.kind for fault in faults} <= {finding.REVERSED, finding.SWAPPED} and faults
     assert {r.name: r.mount for r in found.receiver} == {r.name: r.mount for r in MACHINE.receiver}
 
@@ -147,7 +147,7 @@ def test_what_is_no_wheel_angle(heard: list[Measurement]) -> None:
         replace(m, angle=float(rng.uniform(-0.5, 0.5))) if isinstance(m, WheelAngle) else m for m in heard
     ]
     with pytest.raises(CannotCalibrate, match="byte order") as caught:
-        calibrating._first_look(MACHINE, _drive(MACHINE, other))
+        calibrating._initial_guess(MACHINE, _drive(MACHINE, other))
     assert [fault.kind for fault in caught.value.faults] == [finding.WHEEL_UNREAD]
 
 
@@ -158,18 +158,18 @@ def test_one_circle_at_one_angle_shows_that_the_wheel_is_read(
     """Slowly the wheels stand still there, and what is not known of the way is most of what varies. A reading
     that jumps is one in the wrong byte order. Both rad."""
     made = measurements([(20, 0.0, 0), (60, 3.0, 0), (70, 1.4, -15)])
-    view, rng = calibrating._first_look(MACHINE, _drive(MACHINE, made))[2], np.random.default_rng(3)
+    view, rng = calibrating._initial_guess(MACHINE, _drive(MACHINE, made))[2], np.random.default_rng(3)
     base = MACHINE.tractor.a.value + MACHINE.tractor.b.value
     view = replace(view, wheel=view.wheel + rng.choice([-jumps, jumps], view.wheel.shape))
     rate = view.rate[:, 0] + way_sd / base * view.along[:, 0] * rng.normal(size=view.wheel.shape)
-    faults = finding.wheel_faults(*first_look.wheel_by_the_way(view, base, rate))
+    faults = finding.wheel_faults(*initial_guess.wheel_by_the_way(view, base, rate))
     assert [fault.kind for fault in faults] == ([] if is_read else [finding.WHEEL_UNREAD])
 
 
 def test_rows_alone_do_not_tell_who_is_who() -> None:
     """Nothing is claimed of bodies, and the drive is refused with what to drive."""
     made = measurements(ROWS)
-    assert not standing(_drive(MACHINE, made), MACHINE).sure
+    assert not assign(_drive(MACHINE, made), MACHINE).sure
     with pytest.raises(CannotCalibrate, match="rows only"):
         calibrating.look(MACHINE, made)
 
@@ -178,9 +178,9 @@ def test_rows_alone_do_not_tell_who_is_who() -> None:
 def test_circles_to_one_side_are_taken_and_said(sign: int, missing: str) -> None:
     """What they tell is used; which side is missing, and what for, is said."""
     made = measurements([(seconds, speed, sign * angle) for seconds, speed, angle in ONE_SIDE])
-    changes, _, view, _ = calibrating._first_look(MACHINE, _drive(MACHINE, made))
+    changes, _, view, _ = calibrating._initial_guess(MACHINE, _drive(MACHINE, made))
     assert changes.wheel_gain == pytest.approx(1.0, abs=0.1)
-    said = list(_not_driven(first_look.driven(view), np.zeros(3)))
+    said = list(_not_covered(initial_guess.coverage(view), np.zeros(3)))
     assert said[0].startswith(f"Hardly a turn to the {missing}: zero and scale of the wheel are told less")
     assert "circles to both sides" in said[0]
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from tilth.estimator.calibration.left_over import (
+from tilth.estimator.calibration.residuals import (
     FEWEST,
     KINDS,
     MeasuredKind,
-    left_over,
+    residuals,
     sentences,
     squares_of,
 )
@@ -22,7 +22,7 @@ def left(kind: MeasuredKind, level: float, rms: float, count: int = 4 * FEWEST) 
     point[AT[kind.level]] = math.log(level)
     rows = np.repeat(np.array(kind.kinds, np.float64), count)
     z = rng.normal(0.0, rms, len(rows))
-    (one,) = left_over(squares_of(rows, z), point)
+    (one,) = residuals(squares_of(rows, z), point)
     assert one.count == len(rows)
     return one.ratio, one.more, sentences([one])[0]
 
@@ -41,4 +41,4 @@ def test_noise_that_the_fit_took_up_counts_too(
 
 
 def test_of_few_measurements_nothing_is_said() -> None:
-    assert left_over({kind.kinds[0]: (1e4, FEWEST - 1) for kind in KINDS}, np.zeros(len(NAMES))) == ()
+    assert residuals({kind.kinds[0]: (1e4, FEWEST - 1) for kind in KINDS}, np.zeros(len(NAMES))) == ()

@@ -1,6 +1,6 @@
 """What may have been moved, and how well each explains the difference between what was and what is.
 
-A change adds `directions @ amounts` to the constants of evidence.py. Those of old samples, plus drift,
+A change adds `directions @ amounts` to the constants of information.py. Those of old samples, plus drift,
 predict those of new samples. The likelihood ratio of "this has changed" against "nothing has" is a chi-square
 in as many degrees of freedom as there are amounts, largest for what fits best.
 """
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
-from tilth.estimator.watch.evidence import (
+from tilth.estimator.watch.information import (
     CRAB,
+    DELAY,
     HITCH,
-    LATE,
     LENGTH,
     ZERO,
-    Evidence,
+    InformationForm,
     Lengths,
     N,
     drift,
@@ -38,7 +38,7 @@ LATENCIES: Final = tuple(f"latency_{mount.value}" for mount in MOUNTS)
 
 
 @dataclass(frozen=True, slots=True)
-class Suspect:
+class Hypothesis:
     """Something that may have been moved."""
 
     name: str  # a mount, or one of PAIRS, WHEEL, DRAWBAR, LATENCIES
@@ -55,19 +55,19 @@ class Explanation(NamedTuple):
 
 
 @once_for_a_machine
-def suspects(machine: Machine) -> tuple[Suspect, ...]:
+def hypotheses(machine: Machine) -> tuple[Hypothesis, ...]:
     """All of a machine file with four receivers."""
     rig = lengths(machine)
-    found = [Suspect(mount.value, _moved(rig, k)) for k, mount in enumerate(MOUNTS)]
-    found += [Suspect(name, _turned(rig, body)) for body, name in enumerate(PAIRS)]
+    found = [Hypothesis(mount.value, _moved(rig, k)) for k, mount in enumerate(MOUNTS)]
+    found += [Hypothesis(name, _turned(rig, body)) for body, name in enumerate(PAIRS)]
     found += [_one(WHEEL, ZERO), _one(DRAWBAR, HITCH + 2)]
-    return (*found, *(_one(name, LATE + k) for k, name in enumerate(LATENCIES)))
+    return (*found, *(_one(name, DELAY + k) for k, name in enumerate(LATENCIES)))
 
 
-def _one(name: str, at: int) -> Suspect:
+def _one(name: str, at: int) -> Hypothesis:
     directions = np.zeros((N, 1))
     directions[at, 0] = 1.0
-    return Suspect(name, directions)
+    return Hypothesis(name, directions)
 
 
 def _moved(rig: Lengths, k: int) -> Array:
@@ -90,13 +90,13 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def posterior(evidence: Evidence) -> tuple[Array, Array]:
+def posterior(evidence: InformationForm) -> tuple[Array, Array]:
     """(mean (N,), covariance (N, N)) of the constants."""
     covariance = _inverse(evidence.information + prior_information())
     return covariance @ evidence.vector, covariance
 
 
-def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> list[Explanation]:
+def judge(machine: Machine, mean: Array, covariance: Array, now: InformationForm) -> list[Explanation]:
     """Every suspect, the best explanation first.
 
     mean (N,), covariance (N, N): of the constants by samples before `now`, without drift.
@@ -105,10 +105,10 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: Evidence) -> li
     kept = np.linalg.inv(np.eye(N) + now.information @ allowed)
     score, weight = kept @ (now.vector - now.information @ mean), kept @ now.information
     found = []
-    for suspect in suspects(machine):
-        d = suspect.directions
+    for hypothesis in hypotheses(machine):
+        d = hypothesis.directions
         spread = _inverse(d.T @ weight @ d + SMALL * np.eye(d.shape[1]))
         along = d.T @ score
         amounts = spread @ along
-        found.append(Explanation(suspect.name, float(along @ amounts), amounts, spread))
+        found.append(Explanation(hypothesis.name, float(along @ amounts), amounts, spread))
     return sorted(found, key=lambda explanation: -explanation.chi_square)

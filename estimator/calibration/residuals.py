@@ -43,7 +43,7 @@ KINDS: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOver:
+class KindResiduals:
     """Of one kind. ratio: what is left over the noise that the file states; 1 is what is expected."""
 
     kind: MeasuredKind
@@ -62,23 +62,23 @@ class LeftOver:
         return f"more than expected, {self.ratio:.1f} times: {self.kind.why}"
 
 
-def left_over(squares: Mapping[int, tuple[float, int]], point: Array) -> tuple[LeftOver, ...]:
+def residuals(squares: Mapping[int, tuple[float, int]], point: Array) -> tuple[KindResiduals, ...]:
     """squares: kind of a row -> sum and number of its squared innovations over their variances.
 
     point: [n], where they were taken. A fit finds the noise itself, and innovations over it are about 1
     whatever it is; so what it has found counts along.
     """
-    found = list[LeftOver]()
+    found = list[KindResiduals]()
     for kind in KINDS:
         have = [squares[one] for one in kind.kinds if one in squares]
         count = sum(n for _, n in have)
         if count >= FEWEST:
             rms = math.sqrt(sum(size for size, _ in have) / count)
-            found.append(LeftOver(kind, math.exp(float(point[AT[kind.level]])) * rms, count))
+            found.append(KindResiduals(kind, math.exp(float(point[AT[kind.level]])) * rms, count))
     return tuple(found)
 
 
-def sentences(left: Sequence[LeftOver]) -> list[str]:
+def sentences(left: Sequence[KindResiduals]) -> list[str]:
     """For people: in one what is as expected, and one for each of which there is more."""
     fine = ", ".join(one.kind.words for one in left if not one.more)
     said = [f"What is left of {fine}: as expected by the noise that the file states."] if fine else []
@@ -86,6 +86,6 @@ def sentences(left: Sequence[LeftOver]) -> list[str]:
 
 
 def squares_of(kinds: Array, z: Array) -> dict[int, tuple[float, int]]:
-    """As `left_over` takes them. kinds: (n,), of rows. z: (n,), innovations over their sds."""
+    """As `residuals` takes them. kinds: (n,), of rows. z: (n,), innovations over their sds."""
     rows: Sequence[int] = [int(kind) for kind in np.unique(kinds)]
     return {one: (float(np.sum(z[kinds == one] ** 2)), int(np.sum(kinds == one))) for one in rows}

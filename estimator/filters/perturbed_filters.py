@@ -17,11 +17,11 @@ from tilth.estimator.filters.measurement_model import noise_factor
 from tilth.estimator.filters.propagation import (
     first_covariance,
     ground_at,
+    set_bank,
     set_processes,
-    set_slopes,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, X_PUSH
+from tilth.estimator.filters.states import N_STATES, X_DISTURBANCE
 from tilth.estimator.filters.transition import Transition, multiply
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def first_covariances(u: float, run: Filters, setup: RigSetup) -> Array:
 @kernel
 def set_all_noise(u: float, run: Filters, setup: RigSetup, step: Transition) -> None:
     """Renew the processes and their noise, at speed u, m/s."""
-    set_slopes(u, setup, step)
+    set_bank(u, setup, step)
     for c in range(run.points.shape[0]):
         set_processes(u, ground_at(run.points[c]), setup, step, c)
 
@@ -96,7 +96,7 @@ def advance(run: Filters, x: Array, step: Transition) -> None:
     if deviation.shape[1] == 1:
         return  # the run deviates by nothing
     multiply(step.F, deviation, following)
-    for i in range(X_PUSH, X_PUSH + 3):
+    for i in range(X_DISTURBANCE, X_DISTURBANCE + 3):
         for c in range(1, deviation.shape[1]):
             following[i, c] += (step.decay[c, i] - step.decay[0, i]) * (x[i] + deviation[i, c])
     for i in range(N_STATES):

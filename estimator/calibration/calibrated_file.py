@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.changes import BODY, Changes, applied
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.verdict import NOT_TOLD, RigVerdict
+from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE, RigVerdict
 from tilth.schemas.machine import Machine, Quantity, Receiver
 
 Array = NDArray[np.float64]
@@ -17,21 +17,21 @@ Array = NDArray[np.float64]
 LEAST_SURVEY = 0.002  # m
 
 
-def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
+def identified_changes(found: Calibration, verdict: RigVerdict) -> Changes:
     """The changes without those of numbers that the drive does not tell."""
-    without = {one.number.name for one in verdict.told if one.status == NOT_TOLD}
+    without = {one.number.name for one in verdict.numbers if one.status == NOT_IDENTIFIABLE}
     changes = found.changes
 
     def of(values: np.ndarray, *names: str) -> np.ndarray:
         return np.where([name in without for name in names], 0.0, values)
 
-    late = changes.late - (np.mean(changes.late) if "latency" in without else 0.0)
+    delay = changes.delay - (np.mean(changes.delay) if "latency" in without else 0.0)
     zeros = [f"roll_zero_{mount.value}" for mount in MOUNTS]
     return replace(
         changes,
-        late=late,
+        delay=delay,
         forward=of(changes.forward, "lever_t", "lever_i"),
-        aside=of(changes.aside, "aside_t", "aside_i"),
+        lateral_offset=of(changes.lateral_offset, "aside_t", "aside_i"),
         pair=of(changes.pair, "pair_t", "pair_i"),
         hitch=of(changes.hitch, "c", "d"),
         ackermann=0.0 if "ackermann" in without else changes.ackermann,
@@ -44,10 +44,10 @@ def told_changes(found: Calibration, verdict: RigVerdict) -> Changes:
     )
 
 
-def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> Machine:
+def calibrated_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> Machine:
     """machine: as it was read."""
-    sds = {one.number.name: one.sd for one in verdict.told if one.status != NOT_TOLD}
-    after = applied(machine, told_changes(found, verdict))
+    sds = {one.number.name: one.sd for one in verdict.numbers if one.status != NOT_IDENTIFIABLE}
+    after = applied(machine, identified_changes(found, verdict))
     tractor, implement, wheel = after.tractor, after.implement, after.wheel_angle
     bodies = {}
     for name, body, key, suffix in (("tractor", tractor, "c", "t"), ("implement", implement, "d", "i")):
@@ -69,22 +69,22 @@ def told_machine(machine: Machine, found: Calibration, verdict: RigVerdict) -> M
         turned["gain"] = Quantity(value=wheel.gain.value, sd=wheel.gain.value * sds["wheel_gain"])
     if "wheel_curve" in sds:
         turned["curve"] = Quantity(value=wheel.curve.value, sd=sds["wheel_curve"])
-    receivers = [_receiver(receiver, sds, found.late_sd) for receiver in after.receiver]
+    receivers = [_receiver(receiver, sds, found.delay_sd) for receiver in after.receiver]
     return after.model_copy(
         update={**bodies, "receiver": receivers, "wheel_angle": wheel.model_copy(update=turned)}
     )
 
 
-def _receiver(receiver: Receiver, sds: dict[str, float], late_sd: Array) -> Receiver:
-    """late_sd: as Calibration's; the mean of all four has some of it already."""
+def _receiver(receiver: Receiver, sds: dict[str, float], delay_sd: Array) -> Receiver:
+    """delay_sd: as Calibration's; the mean of all four has some of it already."""
     update: dict[str, object] = {}
     body = BODY[MOUNTS.index(receiver.mount)]
     if "latency" in sds:
-        sd = math.hypot(sds["latency"], late_sd[body] / 2.0, late_sd[2] / 2.0)
+        sd = math.hypot(sds["latency"], delay_sd[body] / 2.0, delay_sd[2] / 2.0)
         update["latency"] = Quantity(value=receiver.latency.value, sd=sd)
-    aside = "aside_i" if body else "aside_t"
-    if aside in sds:
-        update["survey_sd"] = max(sds[aside], LEAST_SURVEY)
+    lateral_offset = "aside_i" if body else "aside_t"
+    if lateral_offset in sds:
+        update["survey_sd"] = max(sds[lateral_offset], LEAST_SURVEY)
     name = f"roll_zero_{receiver.mount.value}"
     if name in sds and receiver.roll_zero is not None:
         update["roll_zero"] = Quantity(value=receiver.roll_zero.value, sd=math.degrees(sds[name]))

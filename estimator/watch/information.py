@@ -36,7 +36,7 @@ CONSTANTS: Final[dict[str, tuple[float, float]]] = {
 NAMES: Final = tuple(CONSTANTS)
 AT: Final = {name: k for k, name in enumerate(NAMES)}
 N: Final = len(NAMES)
-LENGTH, HITCH, LATE = AT["length_t"], AT["hitch_t_forward"], AT["late_tractor_front"]
+LENGTH, HITCH, DELAY = AT["length_t"], AT["hitch_t_forward"], AT["late_tractor_front"]
 CRAB, TURN, ROLL, ZERO = AT["crab_t"], AT["crab_per_turn_t"], AT["crab_per_roll_t"], AT["zero"]
 
 KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two crab angles, wheels
@@ -130,18 +130,18 @@ def _lengths_and_gap(rig: Lengths, now: Sample, along: Array, across: Array, des
     """The first four rows. A receiver that is s seconds late reports a point s times its velocity behind."""
     for body in (0, 1):
         design[body, LENGTH + body] = 1.0
-        design[body, LATE + 2 * body : LATE + 2 * body + 2] = -along[2 * body], along[2 * body + 1]
+        design[body, DELAY + 2 * body : DELAY + 2 * body + 2] = -along[2 * body], along[2 * body + 1]
     cosine, sine = math.cos(now.articulation), math.sin(now.articulation)
     turned = np.array([[cosine, -sine], [sine, cosine]])  # from the tractor's axes to the implement's
     behind = np.array([-0.5 * along, -rig.shares * across])
     design[2:4, HITCH : HITCH + 2] = turned
     design[2:4, HITCH + 2 : HITCH + 4] = -np.eye(2)
-    design[2:4, LATE : LATE + 2] = turned @ behind[:, :2]
-    design[2:4, LATE + 2 : LATE + 4] = -behind[:, 2:]
+    design[2:4, DELAY : DELAY + 2] = turned @ behind[:, :2]
+    design[2:4, DELAY + 2 : DELAY + 4] = -behind[:, 2:]
 
 
 @dataclass(slots=True)
-class Evidence:
+class InformationForm:
     """Normal equations of the constants."""
 
     information: Array = field(default_factory=lambda: np.zeros((N, N)))  # in their units^-2

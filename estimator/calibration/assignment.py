@@ -19,34 +19,38 @@ FEWEST: Final = 100  # instants: 20 s
 DISTANCE_SD: Final = np.array([30.0, 0.5])  # m, and s of latency between two receivers
 
 
-class Standing(NamedTuple):
+class MotionAssignment(NamedTuple):
     """Where receivers stand by their motion."""
 
-    who: tuple[int, ...]  # receiver of the file at each place, as Changes.who
-    sure: bool  # whether the drive tells it; else who is as the file says
+    assignment: tuple[int, ...]  # receiver of the file at each place
+    sure: bool  # whether the drive tells it; else as the file says
     reason: str  # why not
 
 
-def standing(drive: DriveGrid, machine: Machine) -> Standing:
+def assign(drive: DriveGrid, machine: Machine) -> MotionAssignment:
     """By distances and by who goes ahead."""
     same = (0, 1, 2, 3)
     moving = drive.complete & (_speed(drive) > MOVING)
     if np.count_nonzero(moving) < FEWEST:
-        return Standing(same, False, "the four receivers were hardly heard together while the rig moved")
+        return MotionAssignment(
+            same, False, "the four receivers were hardly heard together while the rig moved"
+        )
     at, velocity = drive.at[moving], drive.velocity[moving]
     spread = {pair: _spread(at, velocity, pair) for pair in combinations(range(4), 2)}
     totals = [float(np.hypot(spread[a], spread[b])) for a, b in PAIRINGS]
     best = int(np.argmin(totals))
     others = [total for k, total in enumerate(totals) if k != best]
     if min(others) < CLEARLY * totals[best]:
-        return Standing(same, False, "without turns nobody can tell which two receivers are on one body")
+        return MotionAssignment(
+            same, False, "without turns nobody can tell which two receivers are on one body"
+        )
     ahead = velocity.mean(axis=1)
     ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
     one, other = PAIRINGS[best]
     lead = ((at[:, one].mean(axis=1) - at[:, other].mean(axis=1)) * ahead).sum(axis=1)
     tractor, implement = (one, other) if np.median(lead) > 0.0 else (other, one)
-    who = [*_turned(machine, at, ahead, tractor, 0), *_turned(machine, at, ahead, implement, 2)]
-    return Standing(tuple(who), True, "")
+    assignment = [*_turned(machine, at, ahead, tractor, 0), *_turned(machine, at, ahead, implement, 2)]
+    return MotionAssignment(tuple(assignment), True, "")
 
 
 def _speed(drive: DriveGrid) -> Array:
