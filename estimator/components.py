@@ -2,6 +2,19 @@
 
 from typing import Any, Final, NamedTuple
 
+from tilth.estimator.calibration.assignment import ASSIGNMENT
+from tilth.estimator.calibration.drive import DRIVE
+from tilth.estimator.calibration.faults import FAULTS
+from tilth.estimator.calibration.joint import JOINT
+from tilth.estimator.calibration.least_squares import LEAST_SQUARES
+from tilth.estimator.calibration.receivers import STANDING_RECEIVER
+from tilth.estimator.calibration.records import CALIBRATION_RECORDS
+from tilth.estimator.calibration.refusals import REFUSALS
+from tilth.estimator.calibration.residuals import RESIDUALS
+from tilth.estimator.calibration.roll import GROUND
+from tilth.estimator.calibration.stage_words import STAGE
+from tilth.estimator.calibration.stages import TALLY
+from tilth.estimator.calibration.steering_response import STEERING_RESPONSE
 from tilth.estimator.fold import FOLD
 from tilth.estimator.methods.learned import LEARNED
 from tilth.estimator.methods.open_tracker import OPEN_TRACKER
@@ -69,6 +82,19 @@ COMPONENTS: Final = (
     Component("record/record_builder", RECORD),
     Component("record/steady_driving", STEADY_DRIVING),
     Component("record/windows", WINDOWS),
+    Component("calibration/assignment", ASSIGNMENT),
+    Component("calibration/drive", DRIVE),
+    Component("calibration/faults", FAULTS),
+    Component("calibration/joint", JOINT),
+    Component("calibration/least_squares", LEAST_SQUARES),
+    Component("calibration/receivers", STANDING_RECEIVER),
+    Component("calibration/records", CALIBRATION_RECORDS),
+    Component("calibration/refusals", REFUSALS),
+    Component("calibration/residuals", RESIDUALS),
+    Component("calibration/roll", GROUND),
+    Component("calibration/stage_words", STAGE),
+    Component("calibration/stages", TALLY),
+    Component("calibration/steering_response", STEERING_RESPONSE),
     Component("results/advice", ADVICE),
     Component("results/recommend", RECOMMENDATION),
     Component("results/reporting", REPORTING),

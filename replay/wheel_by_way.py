@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration.calibrate import TractorMotion
-from tilth.estimator.calibration.faults import EXPLAINED
+from tilth.estimator.calibration.faults import FAULTS
 from tilth.estimator.calibration.initial_guess import MOVING, SLOW
 from tilth.estimator.calibration.least_squares import solve
 from tilth.replay.wheel_search import FEWEST_SAMPLES, SLOWEST_HZ, Words, may_hold_it, with_sign, words_of
@@ -176,7 +176,7 @@ def _of_message(
         made = _fitted(times[~none], values, motion)
         if made is None:
             continue
-        if made.explained >= EXPLAINED and made.gain != 0.0:
+        if made.explained >= FAULTS.explained and made.gain != 0.0:
             seen = int(words[none][0]) if none.any() else None
             word = WheelWord(
                 bus, can_id, extended, start_byte, byte_order, bits, signed or rudder,

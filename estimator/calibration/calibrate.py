@@ -52,7 +52,7 @@ Progress = Callable[[str, float], None]  # what is done, share of all
 AS_STATED: Final = (None,) * 4  # roll_corrected of each receiver is what the file says
 LOOKS: Final = 3  # rounds of the first look
 MOST_FITS: Final = 3  # each about the file that the one before gives
-STEPS: Final = ((6, 0), (3, joint.MOST_STEPS), (0, joint.MOST_STEPS))
+STEPS: Final = ((6, 0), (3, joint.JOINT.most_steps), (0, joint.JOINT.most_steps))
 """At most, of each fit: with noise levels, and with these held."""
 STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
 
@@ -230,7 +230,7 @@ def _initial_guess(
     placed = _placed(drive, changes)
     view = _view(applied(machine, changes), placed, changes, None)
     if (
-        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > initial_guess.MOVING)) * drives.STEP_S
+        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > initial_guess.MOVING)) * drives.DRIVE.step_s
         < initial_guess.LEAST_DRIVEN_S
     ):
         raise CannotCalibrate(

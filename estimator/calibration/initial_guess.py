@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.calibration.drive import MOUNTS, STEP_S, DriveGrid
+from tilth.estimator.calibration.drive import DRIVE, MOUNTS, DriveGrid
 from tilth.estimator.calibration.least_squares import Solved, solve
 from tilth.schemas.machine import Machine
 
@@ -110,7 +110,7 @@ def _later(drive: DriveGrid, delay: Array) -> Array:
 def _rate(heading: Array) -> Array:
     """Slope of a line through SMOOTH instants, not a number where one of them is none."""
     half = SMOOTH // 2
-    weights = np.arange(-half, half + 1) / (STEP_S * np.sum(np.arange(-half, half + 1) ** 2.0))
+    weights = np.arange(-half, half + 1) / (DRIVE.step_s * np.sum(np.arange(-half, half + 1) ** 2.0))
     found = np.full(heading.shape, np.nan)
     if len(heading) > 2 * half:
         windows = np.lib.stride_tricks.sliding_window_view(heading, SMOOTH, axis=0)
@@ -139,7 +139,7 @@ def _slow_error(u: Array) -> float:
     """Sd, s, of what is late by positions at speeds u, m/s, (n,), from errors of positions that last. At one
     speed they are all that there is: what is late moves a receiver by one distance."""
     spread = float(np.std(u)) if len(u) else 0.0
-    return SLOW_M / max(spread, 1e-6) / math.sqrt(max(len(u) * STEP_S / SLOW_S, 1.0))
+    return SLOW_M / max(spread, 1e-6) / math.sqrt(max(len(u) * DRIVE.step_s / SLOW_S, 1.0))
 
 
 def hitch(view: Pairs) -> Solved:
@@ -264,9 +264,9 @@ def coverage(view: Pairs) -> DrivingCoverage:
     eighths = np.floor(view.heading[straight, 0] / (2 * np.pi) * 8).astype(np.int64) % 8
     folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > FOLDED
     return DrivingCoverage(
-        np.bincount(eighths, minlength=8).astype(np.float64) * STEP_S,
-        float(np.count_nonzero(known & (rate < -0.05) & (u > MOVING))) * STEP_S,
-        float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * STEP_S,
-        float(np.count_nonzero(known & folded)) * STEP_S,
-        float(np.count_nonzero(known & (np.abs(rate) > WEAVING) & (u > SLOW))) * STEP_S,
+        np.bincount(eighths, minlength=8).astype(np.float64) * DRIVE.step_s,
+        float(np.count_nonzero(known & (rate < -0.05) & (u > MOVING))) * DRIVE.step_s,
+        float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * DRIVE.step_s,
+        float(np.count_nonzero(known & folded)) * DRIVE.step_s,
+        float(np.count_nonzero(known & (np.abs(rate) > WEAVING) & (u > SLOW))) * DRIVE.step_s,
     )

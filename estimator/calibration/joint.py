@@ -20,14 +20,23 @@ from tilth.estimator.filters.likelihood import Iterate, Search
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.record.record import KIND, Record
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float], None]  # steps done, largest step in sds
 
-MOST_STEPS: Final = 10  # at most, with these held
-SETTLED: Final = 0.15  # sds: a step this small ends a search
-LONGEST: Final = 1.0  # prior sds, of one step
-MOST_DAMPING: Final = 1e6
+
+@dataclass(frozen=True, slots=True)
+class JointTuning:
+    """The search of the joint fit."""
+
+    most_steps: int = tuned(10, "steps", "at most, with noise levels held")
+    settled: float = tuned(0.15, "sd", "a step this small ends a search")
+    longest: float = tuned(1.0, "sd", "of the prior, in one step")
+    most_damping: float = tuned(1e6, "1", "with more, no step helps")
+
+
+JOINT: Final = JointTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +92,7 @@ class _Sum:
 
 def fit(
     records: Sequence[Record], setup: RigSetup, mean: Array, sd: Array, start: Array, told: Sequence[int],
-    progress: Progress = lambda steps, size: None, noise_steps: int = 6, most_steps: int = MOST_STEPS,
+    progress: Progress = lambda steps, size: None, noise_steps: int = 6, most_steps: int = JOINT.most_steps,
 ) -> JointFit:  # fmt: skip
     """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must
     settle. Raises ValueError without records or steps.
@@ -107,7 +116,7 @@ def fit(
             for search in searches:
                 scoring.leave_out_outliers(search, point)
         point, now, size, steps = _search(searches, point, about, free, most, told if held else (), progress)
-        made = _result(searches, now, point, about, free, steps, size < SETTLED)
+        made = _result(searches, now, point, about, free, steps, size < JOINT.settled)
     assert made is not None
     return made
 
@@ -131,7 +140,7 @@ def _search(
         size = float(np.max((np.abs(moved - point)[active] / sds)[of_told], initial=0.0))
         progress(steps, size)
         point, now = moved, then
-        if len(told) and size < SETTLED:
+        if len(told) and size < JOINT.settled:
             break
     return point, now, size, steps
 
@@ -145,10 +154,12 @@ def _step(
     active = searches[0].active
     away = (point - mean)[active]
     cost = now.cost + 0.5 * float(away @ prior @ away)
-    while damping < MOST_DAMPING:
+    while damping < JOINT.most_damping:
         damped = information + damping * np.diag(np.diag(information))
         step = np.asarray(np.linalg.solve(damped, -gradient), np.float64)
-        step = np.clip(step, -LONGEST * sd[active], LONGEST * sd[active])  # what runs away holds up no other
+        step = np.clip(
+            step, -JOINT.longest * sd[active], JOINT.longest * sd[active]
+        )  # what runs away holds up no other
         moved = point.copy()
         moved[active] += step
         away = (moved - mean)[active]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration.changes import Changes, Linkage, linkage_of
-from tilth.estimator.calibration.drive import STEP_S
+from tilth.estimator.calibration.drive import DRIVE
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.initial_guess import MOVING, SLOW, Pairs
 from tilth.estimator.calibration.least_squares import solve
@@ -95,7 +95,7 @@ LARGEST: Final = 0.3  # 1/rad, as in schemas/limits.py
 
 def _steady(view: Pairs) -> NDArray[np.bool_]:
     """(n,): where the tractor's turn rate hardly changes."""
-    half = round(0.5 / STEP_S)
+    half = round(0.5 / DRIVE.step_s)
     rate = view.rate[:, 0]
     steady = np.zeros(len(rate), bool)
     if len(rate) > 2 * half:

@@ -16,13 +16,15 @@ from tilth.estimator.tuning import plain, rows, tuned
 
 ESTIMATOR = ROOT / "estimator"
 COUNTED = {
-    "bins", "bits", "checkpoints", "comparisons", "epochs", "frames", "intervals", "iterations", "passes",
-    "poses", "positions", "readings", "runs", "samples", "segments", "senders", "spikes", "steps", "ticks",
-    "tries",
+    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs", "fits",
+    "frames", "instants", "intervals", "iterations", "measurements", "passes", "poses", "positions",
+    "readings",    "rounds",
+    "rows", "runs", "samples", "segments", "senders", "spikes", "steps", "stretches", "swings",
+    "ticks", "tries",
 }  # fmt: skip
 UNITS = COUNTED | {
-    "1", "1/s", "by unknown", "chi^2", "m", "m/s", "m/s^0.5", "m/s^2", "nat", "ns", "rad", "rad/s",
-    "rad/s^0.5", "rad/s^2", "s", "s/s", "s/s^0.5", "sd",
+    "°", "1", "1/rad", "1/s", "by unknown", "chi^2", "m", "m/s", "m/s^0.5", "m/s^2", "nat", "ns", "rad",
+    "rad/s", "rad/s^0.5", "rad/s^2", "rad s^2/m", "s", "s/s", "s/s^0.5", "sd",
 }  # fmt: skip
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
     # layouts of arrays, and codes
@@ -30,8 +32,8 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "filters/likelihood": ("NOTHING", "NO_READINGS"),
     "filters/soil_change": ("DIRECTIONS",),
     "filters/states": (
-        "N_STATES", "X_ALPHA", "X_ASIDE", "X_PAIR", "X_POSITION", "X_PSI", "X_PUSH", "X_R", "X_ROLL", 
-        "X_SLOPE", "X_SLOPE_RATE", "X_SPEED", "X_UNEVEN", "X_V",
+        "N_STATES", "X_ALPHA", "X_BANK", "X_BANK_RATE", "X_DISTURBANCE", "X_LATERAL_OFFSET", "X_PAIR",
+        "X_POSITION", "X_PSI", "X_R", "X_ROLL", "X_SPEED", "X_UNEVEN", "X_V",
     ),
     "filters/tracker_kernel": ("BAD", "GATED", "GROUND", "SENSORS", "USED"),
     "filters/two_step_fit": ("OUTPUT_STATES", "PREDICTOR_STATES"),
@@ -47,6 +49,8 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "record/windows": ("AWAITED", "DROPPED", "OPEN", "TAKEN"),
     "snapshot": ("VERSION",),
     "state_json": ("LONGEST_LIST",),
+    "calibration/assignment": ("PAIRINGS",),
+    "calibration/steering_response": ("NO_LIMIT",),
     # what is asked of a model, beside its sensors
     "models/identifiability": ("DISTURBANCES",),
     "models/planned_run": ("DT",),
@@ -61,8 +65,10 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
 
 
 PENDING = (
-    "calibration/", "filters/", "watch/", "methods/consistency", "methods/findings", "pose/motion_check",
-    "pose/plausibility", "pose/receiver_checks", "pose/wheel_check",
+    "calibration/calibrate", "calibration/changes", "calibration/initial_guess", "calibration/linkage",
+    "calibration/priors", "calibration/verdict", "calibration/calibrated_file", "filters/", "watch/",
+    "methods/consistency", "methods/findings", "pose/motion_check",
+    "pose/plausibility",    "pose/receiver_checks", "pose/wheel_check",
 )  # fmt: skip
 """Where no records are yet."""
 

@@ -41,7 +41,7 @@ def test_where_the_better_of_two_messages_falls_silent_the_other_counts(heard: l
             drives.take(found, replace(position, pgn=129025))
         drives.take(found, replace(position, pgn=129029))
     times = np.array([row[0] for row in found.positions[0]])
-    assert np.max(np.diff(times)) < drives.SILENT_S + 0.5 and np.min(np.diff(times)) > 0.0
+    assert np.max(np.diff(times)) < drives.DRIVE.silent_s + 0.5 and np.min(np.diff(times)) > 0.0
 
 
 def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.RigFault]]:
