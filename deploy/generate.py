@@ -2,7 +2,7 @@
 
 schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json; uv.lock →
 deploy/constraints.txt, the versions that a recorder is installed with; deploy/motion_equations.py →
-estimator/models/generated/rolling_kernels.py.
+estimator/models/generated/rolling_kernels.py; deploy/observation_equations.py → observation_kernels.py there.
 """
 
 import argparse
@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from tilth.deploy import motion_equations
+from tilth.deploy import motion_equations, observation_equations
 from tilth.schemas.machine import Machine
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -31,7 +31,8 @@ def generated(root: Path) -> Iterator[tuple[str, bytes]]:
         for path in sorted(Path(folder).iterdir()):
             yield f"{PROTO}/{path.name}", path.read_bytes()
     yield "schemas/machine.schema.json", (json.dumps(Machine.model_json_schema(), indent=2) + "\n").encode()
-    yield motion_equations.TARGET, motion_equations.source().encode()
+    for equations in (motion_equations, observation_equations):
+        yield equations.TARGET, equations.source().encode()
     exported = subprocess.run([*EXPORT.split(), "--directory", str(root)], capture_output=True, check=True)
     yield "deploy/constraints.txt", exported.stdout
 

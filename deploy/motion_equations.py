@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 import sympy as sp
-from sympy.printing.pycode import PythonCodePrinter
 
+from tilth.deploy.kernel_text import kernel, slope_lines, value_lines
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 from tilth.schemas.axle_loads import axle_loads
 
@@ -253,85 +253,6 @@ SLOPE: Final = "Fill right (6, n), derivatives of right - M found by states and 
 PARAMETER_SLOPE: Final = "Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip (3, n)."
 
 
-class _Printer(PythonCodePrinter):  # type: ignore[misc]
-    """Small powers as products, square roots as sqrt."""
-
-    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
-        base, power = expr.as_base_exp()
-        if power.is_Integer and 2 <= abs(power) <= 4:
-            product = "*".join([self.parenthesize(base, 60)] * abs(int(power)))
-            return f"({product})" if power > 0 else f"(1.0/({product}))"
-        if power == -1:
-            return f"(1.0/{self.parenthesize(base, 60)})"
-        return str(super()._print_Pow(expr, rational=rational))
-
-    def _print_Rational(self, expr: Any) -> str:
-        return repr(float(expr))
-
-
-def _text(expression: Any) -> str:
-    return str(
-        _Printer({"fully_qualified_modules": False, "allow_unknown_functions": True}).doprint(expression)
-    )
-
-
-def _kernel(name: str, about: str, parameters: str, lines: Iterable[str]) -> str:
-    return "\n".join(["@kernel", f"def {name}({parameters}) -> None:", f'    """{about}"""', *lines]) + "\n"
-
-
-def _readings(given: dict[str, str], steps: Iterable[Any]) -> list[str]:
-    """Lines that read what the expressions need. given: symbol -> where it is read."""
-    used = {str(symbol) for step in steps for symbol in step.free_symbols}
-    return [f"    {symbol} = {where}" for symbol, where in given.items() if symbol in used]
-
-
-def _values(given: dict[str, str], outputs: dict[str, Any]) -> list[str]:
-    """Lines that compute the outputs: target -> expression; 0 is left out."""
-    wanted = {target: expression for target, expression in outputs.items() if expression != 0}
-    shared, reduced = sp.cse(list(wanted.values()), symbols=sp.numbered_symbols("t"))
-    lines = _readings(given, [*(e for _, e in shared), *reduced])
-    lines += [f"    {symbol} = {_text(expression)}" for symbol, expression in shared]
-    return lines + [f"    {target} = {_text(e)}" for target, e in zip(wanted, reduced, strict=True)]
-
-
-def _slopes(given: dict[str, str], outputs: dict[str, Any], columns: list[Any]) -> list[str]:
-    """Lines that compute the derivatives of the outputs (row of an array -> expression) by the columns.
-
-    Forward differentiation of the steps that give the values: each step's derivatives by what it is made of,
-    times the derivatives of these by the columns.
-    """
-    shared, reduced = sp.cse(list(outputs.values()), symbols=sp.numbered_symbols("t"))
-    slopes: dict[Any, dict[int, Any]] = {q: {j: sp.Integer(1)} for j, q in enumerate(columns)}
-    lines: list[str] = []
-    partials = sp.numbered_symbols("s")
-    products = sp.numbered_symbols("d")
-
-    def named(expression: Any, names: Any) -> Any:
-        if expression.is_Number or expression.is_Symbol or (-expression).is_Symbol:
-            return expression
-        symbol = next(names)
-        lines.append(f"    {symbol} = {_text(expression)}")
-        return symbol
-
-    def by_columns(expression: Any) -> dict[int, Any]:
-        total: dict[int, Any] = {}
-        for part in sorted(expression.free_symbols & slopes.keys(), key=str):
-            partial = named(sp.diff(expression, part), partials)
-            for j, slope in slopes[part].items():
-                total[j] = total.get(j, 0) + partial * slope
-        return {j: slope for j, slope in total.items() if slope != 0}
-
-    read = _readings(given, [*(e for _, e in shared), *reduced])
-    for symbol, expression in shared:
-        lines.append(f"    {symbol} = {_text(expression)}")
-        found = by_columns(expression)
-        if found:
-            slopes[symbol] = {j: named(slope, products) for j, slope in found.items()}
-    for row, expression in zip(outputs, reduced, strict=True):
-        lines += [f"    {row[:-1]}, {j}] = {_text(slope)}" for j, slope in by_columns(expression).items()]
-    return read + lines
-
-
 def source() -> str:
     """The text of rolling_kernels.py."""
     M, right = dynamics()
@@ -352,7 +273,7 @@ def source() -> str:
     slope = f"{arrays}, found: Array, right: Array, slip: Array"
     return "\n\n".join([
         HEAD,
-        _kernel("motion", VALUE, value, _values(given, values)),
-        _kernel("motion_by_state", SLOPE, slope, _slopes(given | found, rows, moving)),
-        _kernel("motion_by_parameter", PARAMETER_SLOPE, slope, _slopes(given | found, rows, constant)),
+        kernel("motion", VALUE, value, value_lines(given, values)),
+        kernel("motion_by_state", SLOPE, slope, slope_lines(given | found, rows, moving)),
+        kernel("motion_by_parameter", PARAMETER_SLOPE, slope, slope_lines(given | found, rows, constant)),
     ])  # fmt: skip

@@ -72,7 +72,7 @@ def propagate_covariances(state: JointState, step: Transition) -> None:
 
 @inner_kernel
 def between(share: float, h: Array, step: Transition, H: Array) -> None:
-    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + a,), that at an instant a
+    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + n,), that at an instant a
     share of a tick later, between which the state is linear."""
     for j in range(N_STATES):
         H[j] = (1.0 - share) * h[j]
@@ -83,11 +83,11 @@ def between(share: float, h: Array, step: Transition, H: Array) -> None:
 
 
 @inner_kernel
-def unknowns_between(share: float, h: Array, step: Transition, out: Array) -> None:
-    """Fill out (a,), as `between`, over the active unknowns."""
+def unknowns_between(share: float, h: Array, places: Places, step: Transition, out: Array) -> None:
+    """Fill out (a,), as `between`, over the active unknowns, at `places`."""
     na = out.shape[0]
     for j in range(na):
-        out[j] = h[N_STATES + j]
+        out[j] = h[N_STATES + places[j]]
     for k in range(N_COUPLED):
         i = k if k < D_POSITION else k + POSITION_LATER
         if h[i] != 0.0 and share != 0.0:

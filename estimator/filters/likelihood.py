@@ -12,10 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.predictor import Innovations, Measured, Varied, run_filter
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.states import N_STATES, X_POSITION, X_PSI, X_R, Places, Point
+from tilth.estimator.filters.states import N_STATES, X_POSITION, X_PSI, X_R, Places
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
 from tilth.estimator.record.record import (
     EAST,
@@ -137,8 +136,9 @@ def innovations(
     )  # fmt: skip
     if responding is None:
         responding = np.full(len(places), len(instruments) > 0)
-    at = Point(point.copy(), np.exp(point[unknowns.SIX]), unknowns.geometry(setup.geometry, point))
-    run_filter(measured, start.copy(), at, setup, Varied(places, instruments, responding, nearby), out)
+    run_filter(
+        measured, start.copy(), point.copy(), setup, Varied(places, instruments, responding, nearby), out
+    )
     return out
 
 

@@ -1,7 +1,8 @@
 """What the filters expect of a measurement: each sensor's own model, by the kind of the measurement.
 
-A sensor's file in sensors/ has its prediction with the Jacobian over states and unknowns, its noise and its
-gate. The wheel angle, which is an input, has such a file too.
+A sensor's file in sensors/ has its prediction with slopes by states and unknowns, its noise and its gate. The
+wheel angle, which is an input, has such a file too. Predictions and slopes are generated from symbols
+(deploy/observation_equations.py).
 """
 
 import math
@@ -11,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
-from tilth.estimator.filters.propagation import Active
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors import heading, position, roll, velocity, yaw_rate
 from tilth.estimator.filters.sensors.heading import predict_heading
@@ -20,7 +20,7 @@ from tilth.estimator.filters.sensors.position import predict_position
 from tilth.estimator.filters.sensors.roll import predict_roll
 from tilth.estimator.filters.sensors.velocity import predict_velocity
 from tilth.estimator.filters.sensors.yaw_rate import observe_yaw_rate, predict_yaw_rate
-from tilth.estimator.filters.states import DT, Point
+from tilth.estimator.filters.states import DT
 from tilth.estimator.record.record import HEADING, KIND, OFFSET, PLACE, PSI, ROLL_ANGLE, VELOCITY, YAW_RATE
 
 Array = NDArray[np.float64]
@@ -45,20 +45,20 @@ def observation(
 
 
 @inner_kernel
-def predict_measurement(
-    x: Array, obs: Observation, point: Point, active: Active, setup: RigSetup, h: Array
-) -> float:
-    """Predicted measurement at state x, (30,); fills h, (30 + a,), with its Jacobian over the joint state."""
-    h[:] = 0.0
+def predict_measurement(x: Array, obs: Observation, unknowns: Array, setup: RigSetup, slopes: Array) -> float:
+    """Predicted measurement at state x, (30,), and a point of the unknowns, (n,); fills slopes, (30 + n,),
+    with its derivatives by both."""
+    slopes[:] = 0.0
+    body = body_of(obs.kind, obs.place)
     if obs.kind == YAW_RATE:
-        return float(predict_yaw_rate(x, obs, active, h))
+        return float(predict_yaw_rate(x, unknowns, body, obs, setup, slopes))
     if obs.kind == HEADING:
-        return float(predict_heading(x, obs, h))
+        return float(predict_heading(x, unknowns, body, obs, setup, slopes))
     if obs.kind == ROLL_ANGLE:
-        return float(predict_roll(x, obs, point, active, h))
+        return float(predict_roll(x, unknowns, body, obs, setup, slopes))
     if obs.kind == VELOCITY:
-        return float(predict_velocity(x, obs, point, active, setup, h))
-    return float(predict_position(x, obs, point, active, setup, h))
+        return float(predict_velocity(x, unknowns, body, obs, setup, slopes))
+    return float(predict_position(x, unknowns, body, obs, setup, slopes))
 
 
 @inner_kernel

@@ -36,17 +36,15 @@ from tilth.estimator.filters.perturbed_filters import (
 )
 from tilth.estimator.filters.propagation import (
     EVERY,
-    Active,
     Plant,
     empty_plant,
     linearise,
     propagate,
-    set_geometry_jacobian,
     set_plant,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
-from tilth.estimator.filters.states import N_STATES, Places, Point
+from tilth.estimator.filters.states import N_STATES, Places
 from tilth.estimator.filters.transition import (
     D_POSITION,
     N_COUPLED,
@@ -56,6 +54,7 @@ from tilth.estimator.filters.transition import (
     empty_transition,
     multiply,
 )
+from tilth.estimator.filters.unknowns import N_UNKNOWNS
 from tilth.estimator.record.record import SD, U
 
 Array = NDArray[np.float64]
@@ -147,45 +146,43 @@ class Runner(NamedTuple):
     run: Filters
     varied: Varied
     sensitivities: Sensitivities
+    unknowns: Array  # (n,)
     plant: Plant
-    active: Active
     step: Transition
     work: UpdateWork
     x_at: Array  # (30,), state at a measurement
-    h: Array  # (30 + a,), Jacobian of a measurement over it and the active unknowns
+    h: Array  # (30 + n,), Jacobian of a measurement over it and all unknowns
     H: Array  # (30,), the same over the state at the tick
     H_unknowns: Array  # (a,), and over the active unknowns
 
 
 @inline_kernel
-def runner(u: float, x: Array, point: Point, setup: RigSetup, varied: Varied) -> Runner:
+def runner(u: float, x: Array, unknowns: Array, setup: RigSetup, varied: Varied) -> Runner:
     """At the first tick of a run, at speed u, m/s. The other arguments are those of `run_filter`."""
-    places, run = varied.places, filters(point.unknowns, varied.nearby)
+    places, run = varied.places, filters(unknowns, varied.nearby)
     na, learned = places.shape[0], places[:0]
-    active, plant = Active(places, np.zeros((na, 9))), empty_plant(setup, na)
-    set_geometry_jacobian(point, active)
-    set_plant(plant, point, setup, active)
+    plant = empty_plant(setup, na)
+    set_plant(plant, unknowns, setup, places)
     P = first_covariances(u, run, setup)
     step, work = empty_transition(na, learned.shape[0], P.shape[0]), empty_work(P.shape[0], P.shape[1])
-    state = JointState(x, np.zeros(N_STATES), point.unknowns, learned, np.zeros(N_STATES), P)
+    state = JointState(x, np.zeros(N_STATES), unknowns, learned, np.zeros(N_STATES), P)
     sensitivities = Sensitivities(np.zeros((N_STATES, na)), np.zeros((N_COUPLED, na)), np.zeros(na))
     return Runner(
-        state, run, varied, sensitivities, plant, active, step, work,
-        np.zeros(N_STATES), np.zeros(N_STATES + na),
-        np.zeros(N_STATES), np.zeros(na),
+        state, run, varied, sensitivities, unknowns, plant, step, work, np.zeros(N_STATES),
+        np.zeros(N_STATES + N_UNKNOWNS), np.zeros(N_STATES), np.zeros(na),
     )  # fmt: skip
 
 
 @inline_kernel
-def begin_tick(ticks: Array, k: int, point: Point, setup: RigSetup, on: Runner) -> float:
+def begin_tick(ticks: Array, k: int, setup: RigSetup, on: Runner) -> float:
     """Propagate the state from tick k to the next; the measured speed between them, m/s."""
-    x, step = on.state.x, on.step
-    drive = drive_at(ticks, k, point.unknowns)
+    x, unknowns, step = on.state.x, on.unknowns, on.step
+    drive = drive_at(ticks, k, unknowns)
     if k % EVERY == 0:
         set_all_noise(drive.u, on.run, setup, step)
-        set_wheel_noise(drive.u, point.theta[3], setup.sds, step)
-        linearise(x, ticks, k, point, on.plant, on.active, step)
-    propagate(x, drive, on.plant, on.active, step, on.state.following)
+        set_wheel_noise(drive.u, unknowns, setup.sds, step)
+        linearise(x, ticks, k, unknowns, on.plant, step)
+    propagate(x, drive, unknowns, on.plant, on.varied.places, step, on.state.following)
     for j in range(on.varied.responding.shape[0]):
         if on.varied.responding[j]:
             step.F_unknowns[:, j] = 0.0
@@ -206,17 +203,17 @@ def end_tick(closed: bool, on: Runner) -> None:
 
 @inner_kernel
 def take_row(
-    measured: Measured, row: int, k: int, u: float, point: Point, setup: RigSetup, on: Runner,
+    measured: Measured, row: int, k: int, u: float, setup: RigSetup, on: Runner,
     out: Innovations,
 ) -> None:  # fmt: skip
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
     x, following, x_at, sensitivities = on.state.x, on.state.following, on.x_at, on.sensitivities
-    obs = observation(measured.ticks, measured.rows[row], k, u, x, following, point.unknowns)
+    obs = observation(measured.ticks, measured.rows[row], k, u, x, following, on.unknowns)
     for i in range(N_STATES):
         x_at[i] = x[i] + obs.share * (following[i] - x[i])
-    error = measured.readings[row] - predict_measurement(x_at, obs, point, on.active, setup, on.h)
+    error = measured.readings[row] - predict_measurement(x_at, obs, on.unknowns, setup, on.h)
     between(obs.share, on.h, on.step, on.H)
-    unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
+    unknowns_between(obs.share, on.h, on.varied.places, on.step, on.H_unknowns)
     row_sensitivities(on.H, on.H_unknowns, row, on.varied, sensitivities)
     out.e[row] = error
     for j in range(sensitivities.d.shape[0]):
@@ -234,27 +231,27 @@ def take_row(
 
 
 @inner_kernel
-def run_ticks(measured: Measured, point: Point, setup: RigSetup, on: Runner, out: Innovations) -> None:
+def run_ticks(measured: Measured, setup: RigSetup, on: Runner, out: Innovations) -> None:
     """All ticks of a run."""
     rows, used, row = measured.rows, measured.used, 0
     for k in range(measured.ticks.shape[0]):
-        u = begin_tick(measured.ticks, k, point, setup, on)
+        u = begin_tick(measured.ticks, k, setup, on)
         after = rows_by(rows, row, k)
         for i in range(row, after):
             if used[i] != 0.0:
-                take_row(measured, i, k, u, point, setup, on, out)
+                take_row(measured, i, k, u, setup, on, out)
         row = after
         end_tick(measured.closed, on)
 
 
 @kernel
 def run_filter(
-    measured: Measured, x: Array, point: Point, setup: RigSetup, varied: Varied, out: Innovations
+    measured: Measured, x: Array, unknowns: Array, setup: RigSetup, varied: Varied, out: Innovations
 ) -> None:
     """Fill out: innovation, its variance and its derivatives, of each row, at one point of the unknowns.
 
-    x: (30,), the first state, overwritten with the last.
+    unknowns: (n,). x: (30,), the first state, overwritten with the last.
     """
     out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
-    on = runner(measured.ticks[0, U], x, point, setup, varied)
-    run_ticks(measured, point, setup, on, out)
+    on = runner(measured.ticks[0, U], x, unknowns, setup, varied)
+    run_ticks(measured, setup, on, out)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, wheel_by_unknown
+from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, set_wheel_slopes
 from tilth.estimator.filters.states import (
     BANK_DIFFERENCE,
     BANK_LENGTH,
@@ -40,7 +40,6 @@ from tilth.estimator.filters.states import (
     X_UNEVEN,
     X_V,
     Places,
-    Point,
 )
 from tilth.estimator.filters.transition import (
     Transition,
@@ -52,17 +51,15 @@ from tilth.estimator.filters.transition import (
     unknowns_jacobian,
 )
 from tilth.estimator.filters.unknowns import (
-    AT_CG,
+    ACTED_ON,
     AT_DISTURBANCE,
-    AT_GEOMETRY,
-    AT_LATENCY,
     AT_MEMORY,
     AT_UNEVEN,
-    AT_WHEEL_ZERO,
-    UNKNOWNS,
-    ActsAs,
+    FIRST_ACTION,
+    apply,
 )
 from tilth.estimator.models import rolling
+from tilth.estimator.models.generated.observation_kernels import WHEEL_ANGLE_UNKNOWNS
 from tilth.estimator.models.rolling import (
     BY_INPUT,
     N_INPUTS,
@@ -95,31 +92,17 @@ P_FRONT: Final = PARAMETERS.index("k_f")
 P_SLIP_DEPENDENCE: Final = PARAMETERS.index("slip_dependence")
 P_CONSTANTS: Final = len(PARAMETERS)
 
-# The rows of unknowns.UNKNOWNS as arrays for kernels, (n,).
-ACTS_ON: Final = np.array([PARAMETERS.index(row.acts_on) if row.acts_on else -1 for row in UNKNOWNS])
-TRANSFORM: Final = np.array([int(row.transform) for row in UNKNOWNS])
-LEAST: Final = np.array([row.least for row in UNKNOWNS])
-IN_LINEAR: Final = np.array([row.linear for row in UNKNOWNS])
-FACTOR: Final = int(ActsAs.FACTOR)
-SUM: Final = int(ActsAs.SUM)
-
 
 class Plant(NamedTuple):
     """The motion model at one point of the unknowns, and its work arrays."""
 
     p: Array  # (38,), rolling_terms.PARAMETERS and CONSTANTS
+    p_slopes: Array  # of unknowns.ACTIONS, derivatives of PARAMETERS by what acts on them
     p_unknowns: Array  # (a, 32), derivatives of PARAMETERS by the active unknowns
     scale: float  # of all motions; as RigSetup.scale
     x: Array  # (12,), its state
     w: Array  # (7,), its inputs
     motion: MotionRates
-
-
-class Active(NamedTuple):
-    """The unknowns that are estimated."""
-
-    places: Places  # (a,), indices into unknowns.NAMES
-    geometry: Array  # (a, 9), derivative of the geometry by each
 
 
 class GroundNoise(NamedTuple):
@@ -137,60 +120,39 @@ class GroundNoise(NamedTuple):
 def empty_plant(setup: RigSetup, na: int) -> Plant:
     """A Plant for `na` active unknowns, without its parameters."""
     return Plant(
-        np.zeros(N_PARAMETERS), np.zeros((na, P_CONSTANTS)), setup.scale, np.zeros(rolling.N_STATES),
-        np.zeros(N_INPUTS), empty_motion(),
+        np.zeros(N_PARAMETERS), np.zeros(ACTED_ON.shape[0]), np.zeros((na, P_CONSTANTS)), setup.scale,
+        np.zeros(rolling.N_STATES), np.zeros(N_INPUTS), empty_motion(),
     )  # fmt: skip
 
 
 @inner_kernel
-def set_parameters(point: Point, setup: RigSetup, p: Array) -> None:
-    """Fill p (38,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns. A linear model has no
-    rolling resistance, and its roll modes and heights are those of the setup."""
-    rig, roll, unknowns = setup.rig, setup.roll, point.unknowns
+def set_parameters(unknowns: Array, setup: RigSetup, p: Array, slopes: Array) -> None:
+    """Fill p (38,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns, and slopes as
+    `unknowns.apply`. A linear model has no rolling resistance, and its roll modes and heights are those of
+    the setup."""
+    rig, roll = setup.rig, setup.roll
+    for i in range(P_CONSTANTS):
+        p[i] = 1.0 if i < 6 else 0.0
     for i in range(9):
-        p[P_GEOMETRY + i] = point.geometry[i]
+        p[P_GEOMETRY + i] = setup.geometry[i]
     p[P_HEIGHT], p[P_HEIGHT + 1], p[P_DRAWBAR] = rig.h_t, rig.h_i, rig.h_h
     modes = (roll.k_t, roll.k_i, roll.d_t, roll.d_i, roll.j_t, roll.j_i)
     p[P_PIVOT_HEIGHT], p[P_FRONT] = roll.pivot_height, roll.k_f
     constants = (rig.w_f, rig.w_r, rig.w_i, rig.load_exponent, rig.front_drive, rig.g)
     for i in range(6):
-        p[i] = point.theta[i]
         p[P_ROLL_MODES + i] = modes[i]
         p[P_CONSTANTS + i] = constants[i]
-    for place in range(len(ACTS_ON)):
-        at = ACTS_ON[place]
-        if at < 0 or (setup.scale != 1.0 and not IN_LINEAR[place]):
-            continue
-        if TRANSFORM[place] == FACTOR:
-            p[at] *= math.exp(unknowns[place])
-        elif TRANSFORM[place] == SUM:
-            p[at] += unknowns[place]
-        else:
-            p[at] = unknowns[place]
-        p[at] = max(p[at], LEAST[place])
+    apply(unknowns, setup.scale != 1.0, p, slopes)
 
 
 @inner_kernel
-def set_parameter_jacobian(active: Active, linear: bool, p: Array, out: Array) -> None:
-    """Fill out (a, 32), the derivatives of p by the active unknowns. linear: as in `set_parameters`."""
-    out[:] = 0.0
-    for j in range(active.places.shape[0]):
-        place = active.places[j]
-        at = ACTS_ON[place]
-        if place < 6:
-            out[j, place] = p[place]
-        elif place >= AT_GEOMETRY or place == AT_CG or place == AT_CG + 1:
-            for i in range(9):
-                out[j, P_GEOMETRY + i] = active.geometry[j, i]
-        elif at >= 0 and p[at] > LEAST[place] and (IN_LINEAR[place] or not linear):
-            out[j, at] = p[at] if TRANSFORM[place] == FACTOR else 1.0
-
-
-@inner_kernel
-def set_plant(plant: Plant, point: Point, setup: RigSetup, active: Active) -> None:
-    """Move the plant to a point of the unknowns."""
-    set_parameters(point, setup, plant.p)
-    set_parameter_jacobian(active, setup.scale != 1.0, plant.p, plant.p_unknowns)
+def set_plant(plant: Plant, unknowns: Array, setup: RigSetup, places: Places) -> None:
+    """Move the plant to a point of the unknowns. places: (a,), of the active ones."""
+    set_parameters(unknowns, setup, plant.p, plant.p_slopes)
+    plant.p_unknowns[:] = 0.0
+    for j in range(places.shape[0]):
+        for k in range(FIRST_ACTION[places[j]], FIRST_ACTION[places[j] + 1]):
+            plant.p_unknowns[j, ACTED_ON[k]] = plant.p_slopes[k]
 
 
 @inner_kernel
@@ -214,12 +176,12 @@ def state_rates(x: Array, drive: DriveInputs, plant: Plant, out: Array) -> None:
 
 
 @inner_kernel
-def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, out: Transition) -> None:
+def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, out: Transition) -> None:
     """Fill the rates at x and their Jacobians. Those of psi_t, psi_i and of the leans are constant."""
     state_rates(x, drive, plant, out.rates)
-    motion, na = plant.motion, active.places.shape[0]
+    motion = plant.motion
     rates_by_state(plant.x, plant.w, plant.p, motion)
-    if na > 0:
+    if plant.p_unknowns.shape[0] > 0:
         rates_by_parameter(plant.x, plant.w, plant.p, motion)
         out.rates_unknowns[:] = 0.0
     for k in range(8):
@@ -236,15 +198,15 @@ def rate_jacobians(x: Array, drive: DriveInputs, plant: Plant, active: Active, o
             out.rates_x[i, X_UNEVEN + body] = slopes[BY_INPUT + W_UNEVEN + body]
         out.rates_x[i, X_SPEED] = slopes[BY_INPUT + W_U] / plant.scale
         out.rates_wheel[i] = slopes[BY_INPUT + W_DELTA]
-    rates_by_unknown(plant, active, out.rates_unknowns)
+    rates_by_unknown(plant, out.rates_unknowns)
 
 
 @inner_kernel
-def rates_by_unknown(plant: Plant, active: Active, out: Array) -> None:
+def rates_by_unknown(plant: Plant, out: Array) -> None:
     """Fill the rows of out (12, a), the rates' derivatives by the active unknowns, that are not zero, from
     plant.motion."""
     motion = plant.motion
-    for j in range(active.places.shape[0]):
+    for j in range(out.shape[1]):
         for k in range(P_CONSTANTS):
             part = plant.p_unknowns[j, k] / plant.scale
             if part != 0.0:
@@ -256,56 +218,32 @@ def rates_by_unknown(plant: Plant, active: Active, out: Array) -> None:
 
 
 @inner_kernel
-def set_geometry_jacobian(point: Point, active: Active) -> None:
-    """Fill active.geometry, the derivatives of unknowns.geometry."""
-    active.geometry[:] = 0.0
-    for j in range(active.places.shape[0]):
-        place = active.places[j]
-        row = active.geometry[j]
-        if place == AT_GEOMETRY + 4:  # e is a length, not a logarithm
-            row[4] = 1.0
-        elif AT_GEOMETRY <= place < AT_GEOMETRY + 9:
-            k = place - AT_GEOMETRY
-            row[k] = point.geometry[k]
-            if k < 3:
-                row[k] += (1.0, -1.0, -1.0)[k] * point.unknowns[AT_CG]
-            elif k == 3:
-                row[k] += point.unknowns[AT_CG + 1]
-        elif place == AT_CG:
-            row[0], row[1], row[2] = -1.0, 1.0, 1.0
-        elif place == AT_CG + 1:
-            row[3], row[4] = -1.0, 1.0
-
-
-@inner_kernel
-def find_middle(x: Array, ticks: Array, k: int, point: Point, plant: Plant, step: Transition) -> None:
+def find_middle(x: Array, ticks: Array, k: int, unknowns: Array, plant: Plant, step: Transition) -> None:
     """Fill step.middle, roughly x in the middle of EVERY ticks from tick k on."""
     middle = step.middle
     for i in range(N_STATES):
         middle[i] = x[i]
-    state_rates(x, drive_at(ticks, k, point.unknowns), plant, step.rates)
+    state_rates(x, drive_at(ticks, k, unknowns), plant, step.rates)
     for i in range(X_DISTURBANCE):
         middle[i] += 0.5 * EVERY * DT * step.rates[i]
 
 
 @inline_kernel
-def linearise(
-    x: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
-) -> None:
+def linearise(x: Array, ticks: Array, k: int, unknowns: Array, plant: Plant, step: Transition) -> None:
     """Renew step's Jacobians, except for what `complete_jacobian` adds, for EVERY ticks from tick k on, about
     x in the middle of them, roughly.
 
     At 3 ticks a chirp's derivative by C_af is that of differences to a hundredth or two; at 5 it was 4 % off.
     """
-    find_middle(x, ticks, k, point, plant, step)
-    rate_jacobians(step.middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, active, step)
+    find_middle(x, ticks, k, unknowns, plant, step)
+    rate_jacobians(step.middle, drive_at(ticks, k + EVERY // 2, unknowns), plant, step)
     integrate_exponential(step)
     joint_jacobian(step)
 
 
 @inner_kernel
 def jacobian_at_instrument(
-    instrument: Array, ticks: Array, k: int, point: Point, plant: Plant, active: Active, step: Transition
+    instrument: Array, ticks: Array, k: int, unknowns: Array, plant: Plant, step: Transition
 ) -> None:
     """Renew F_unknowns after `linearise`, with the slopes where the rig would be by steering alone: at
     `instrument`, (30,), a state that no measurement has moved.
@@ -314,28 +252,28 @@ def jacobian_at_instrument(
     correlated with what they are compared with, and tyres came out up to 40 % too soft in slow turns. These
     are an instrumental variable, as in refined instrumental variables for time series (P. C. Young 1976).
     """
-    find_middle(instrument, ticks, k, point, plant, step)
-    state_rates(step.middle, drive_at(ticks, k + EVERY // 2, point.unknowns), plant, step.rates)
+    find_middle(instrument, ticks, k, unknowns, plant, step)
+    state_rates(step.middle, drive_at(ticks, k + EVERY // 2, unknowns), plant, step.rates)
     rates_by_parameter(plant.x, plant.w, plant.p, plant.motion)
     step.rates_unknowns[:] = 0.0
-    rates_by_unknown(plant, active, step.rates_unknowns)
+    rates_by_unknown(plant, step.rates_unknowns)
     unknowns_jacobian(step)
     set_coupled(step, 0, X_DISTURBANCE)
 
 
 @inner_kernel
 def complete_jacobian(
-    x: Array, following: Array, drive: DriveInputs, active: Active, step: Transition
+    x: Array, following: Array, drive: DriveInputs, unknowns: Array, places: Places, step: Transition
 ) -> None:
-    """Complete the Jacobians for one tick: rows of the position, columns of wheel zero, gain and latency.
+    """Complete the Jacobians for one tick: rows of the position, columns of the wheel angle's unknowns.
 
     x, following: (30,), the state before and after the tick.
     """
     F_unknowns, in_covariance = step.F_unknowns, step.F_coupled.shape[1]
-    for j in range(active.places.shape[0]):
-        place = active.places[j]
-        if AT_WHEEL_ZERO <= place <= AT_LATENCY:
-            factor = wheel_by_unknown(place, drive)
+    set_wheel_slopes(drive, unknowns, step.wheel_unknowns)
+    for j in range(places.shape[0]):
+        if places[j] in WHEEL_ANGLE_UNKNOWNS:
+            factor = step.wheel_unknowns[places[j]]
             for i in range(X_DISTURBANCE):
                 F_unknowns[i, j] = factor * step.wheel[i]
             if N_STATES + j < in_covariance:
@@ -370,12 +308,13 @@ def propagate_mean(x: Array, u: float, step: Transition, out: Array) -> None:
 
 @inner_kernel
 def propagate(
-    x: Array, drive: DriveInputs, plant: Plant, active: Active, step: Transition, following: Array
-) -> None:
+    x: Array, drive: DriveInputs, unknowns: Array, plant: Plant, places: Places, step: Transition,
+    following: Array,
+) -> None:  # fmt: skip
     """Fill following (30,), x one tick later, and step's Jacobians of this tick."""
     state_rates(x, drive, plant, step.rates)
     propagate_mean(x, drive.u, step, following)
-    complete_jacobian(x, following, drive, active, step)
+    complete_jacobian(x, following, drive, unknowns, places, step)
 
 
 # What a run begins with.

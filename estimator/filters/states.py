@@ -11,29 +11,38 @@ errors of the receivers, by what is around them and so not turning with a body: 
 length (m/m), and of the implement's antennas relative to the tractor's (m), each to north and to east."""
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.models import rolling_terms
+
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-X_V: Final = 0
-X_R: Final = 1  # of the tractor; the implement's is the next one, here and below
-X_ALPHA: Final = 3  # of the front axle, the rear one, the implement's
-X_ROLL: Final = 6  # lean of the tractor and of the implement, then their rates
-X_PSI: Final = 10
-X_DISTURBANCE: Final = 12  # on the tractor, on the implement, about the tractor's vertical axis
-X_BANK: Final = 15
-X_UNEVEN: Final = 17  # rad, by which uneven ground turns the wheels of a body
-X_BANK_RATE: Final = 19  # of X_BANK
+STATES: Final = (
+    *rolling_terms.STATES, "disturbance_t", "disturbance_i", "disturbance_yaw", "bank_t", "bank_i",
+    "uneven_t", "uneven_i", "bank_rate_t", "bank_rate_i", "speed", "north", "east", "pair_t_north",
+    "pair_t_east", "pair_i_north", "pair_i_east", "offset_north", "offset_east",
+)  # fmt: skip
+N_STATES: Final = len(STATES)
+
+# Of what both bodies have, the tractor's; the implement's is the next one.
+X_V: Final = STATES.index("v")
+X_R: Final = STATES.index("r_t")
+X_ALPHA: Final = STATES.index("alpha_f")  # of the front axle, the rear one, the implement's
+X_ROLL: Final = STATES.index("phi_t")  # lean of the tractor and of the implement, then their rates
+X_PSI: Final = STATES.index("psi_t")
+X_DISTURBANCE: Final = STATES.index("disturbance_t")  # on either body, then about the tractor's vertical axis
+X_BANK: Final = STATES.index("bank_t")
+X_UNEVEN: Final = STATES.index("uneven_t")  # rad, by which uneven ground turns the wheels of a body
+X_BANK_RATE: Final = STATES.index("bank_rate_t")
 BANK_STATES: Final = (X_BANK, X_BANK + 1, X_BANK_RATE, X_BANK_RATE + 1)
-X_SPEED: Final = 21  # m/s, true speed less the measured one
-X_POSITION: Final = 22  # north, east
-X_PAIR: Final = 24  # of the tractor to north and to east, then of the implement
-X_LATERAL_OFFSET: Final = 28  # to north, to east
-N_STATES: Final = 30
+X_SPEED: Final = STATES.index("speed")  # m/s, true speed less the measured one
+X_POSITION: Final = STATES.index("north")  # then east
+X_PAIR: Final = STATES.index("pair_t_north")  # of the tractor to north and to east, then of the implement
+X_LATERAL_OFFSET: Final = STATES.index("offset_north")  # then to east
 
 DT: Final = 0.02  # s, of a tick
 PAIR_MEMORY_S: Final = 20.0
@@ -53,11 +62,3 @@ BANK_DIFFERENCE: Final = 0.05
 """Sd of what the implement's cross slope has of its own, over that of the tractor's."""
 INITIAL_BANK_DIFFERENCE: Final = 0.5  # the same where a run begins: perhaps in a turn on a slope
 UNEVEN_LENGTH: Final = 1.5  # m
-
-
-class Point(NamedTuple):
-    """One point of the unknowns, with the parameters and the geometry that follow from it."""
-
-    unknowns: Array  # (n,), in the order of unknowns.NAMES
-    theta: Array  # (6,), N/rad and m
-    geometry: Array  # (9,), as parameters.GEOMETRY

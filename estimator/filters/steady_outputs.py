@@ -18,17 +18,16 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.propagation import (
+    P_GEOMETRY,
     P_SLIP_DEPENDENCE,
-    Active,
     Plant,
     empty_plant,
     rate_jacobians,
-    set_geometry_jacobian,
     set_plant,
 )
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.sensors.wheel_angle import DriveInputs
-from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_BANK, X_PSI, X_R, X_ROLL, X_SPEED, X_V, Point
+from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, driven_by, set_wheel_slopes
+from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_BANK, X_PSI, X_R, X_ROLL, X_SPEED, X_V
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.record.steady_driving import SteadySample
 from tilth.schemas.machine import Machine
@@ -46,7 +45,7 @@ no effect on OUTPUTS."""
 INPUTS: Final = ("u", "wheel_angle", "roll_t", "roll_i", "folding")
 """m/s; rad, as the sensor reads it; measured rolls, rad; rate of the articulation, rad/s."""
 OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
-KERNELS: Final = (set_geometry_jacobian, set_plant, rate_jacobians)  # that the functions below call
+KERNELS: Final = (driven_by, set_plant, rate_jacobians, set_wheel_slopes)  # that the functions below call
 MOST_STEPS: Final = 20  # of Newton's method; it takes four or five
 LONGEST_STEP: Final = 0.5  # m/s, rad/s or rad
 EXACT: Final = 1e-9  # m/s, rad/s, rad: a step so small is the last
@@ -58,6 +57,7 @@ LEANS: Final = slice(X_ROLL, X_ROLL + 2)
 BANK_STATES: Final = slice(X_BANK, X_BANK + 2)
 TURN: Final = np.r_[X_V, X_R, SLIPS, LEANS, X_PSI]
 """The states that are solved for. The implement's yaw rate and the slopes follow from them; psi_i is 0."""
+LENGTH: Final = slice(P_GEOMETRY + 3, P_GEOMETRY + 5)  # d and e
 STEADY: Final = np.r_[X_V, X_R, SLIPS, X_ROLL + 2, X_ROLL + 3, X_R + 1]
 """The states whose rates are 0, and as the last one r_i, whose rate follows from the folding."""
 
@@ -68,7 +68,6 @@ class _Model(NamedTuple):
     """The motion model at a point of CONSTANTS with its INPUTS; its rates and their slopes at a state."""
 
     plant: Plant
-    active: Active
     step: Transition
     x: Array  # (30,), the state
     drive: DriveInputs
@@ -81,15 +80,12 @@ def _model(point: Array, inputs: Array, machine: Machine) -> _Model:
     """At rest. point: (24,), CONSTANTS; inputs: (5,), INPUTS."""
     setup, (at, _) = rig_setup(machine), unknowns.prior(machine)
     at[PLACES] = point
-    here = Point(at, np.exp(at[unknowns.SIX]), unknowns.geometry(setup.geometry, at))
     n, (u, reading, *_, folding) = len(PLACES), inputs.tolist()
-    plant, active = _empty_plant(setup, n), Active(PLACES, np.zeros((n, len(here.geometry))))
-    set_geometry_jacobian(here, active)
-    set_plant(plant, here, setup, active)
-    scale = float(np.exp(-at[unknowns.AT_WHEEL_GAIN]))
-    drive = DriveInputs(u, 0.0, (reading - float(at[unknowns.AT_WHEEL_ZERO])) * scale, 0.0, scale)
-    length, step = float(here.geometry[3] + here.geometry[4]), _empty_transition(n, 0, 1)
-    return _Model(plant, active, step, np.zeros(N_STATES), drive, inputs[2:4], folding, length)
+    plant, drive = _empty_plant(setup, n), driven_by(u, 0.0, reading, 0.0, at)
+    set_plant(plant, at, setup, PLACES)
+    length, step = float(plant.p[LENGTH].sum()), _empty_transition(n, 0, 1)
+    set_wheel_slopes(drive, at, step.wheel_unknowns)
+    return _Model(plant, step, np.zeros(N_STATES), drive, inputs[2:4], folding, length)
 
 
 def _imbalance(model: _Model) -> tuple[Array, Array, Array]:
@@ -99,7 +95,7 @@ def _imbalance(model: _Model) -> tuple[Array, Array, Array]:
     """
     x, step, slope = model.x, model.step, model.rolls - model.x[LEANS]
     x[X_R + 1], x[BANK_STATES] = x[X_R] - model.folding, GRAVITY * np.sin(slope)
-    rate_jacobians(x, model.drive, model.plant, model.active, step)
+    rate_jacobians(x, model.drive, model.plant, step)
     left, by_x = step.rates[STEADY], step.rates_x[STEADY]
     left[-1] -= model.folding * model.drive.u / model.length
     by_turn, by_rolls = by_x[:, TURN], by_x[:, BANK_STATES] * GRAVITY * np.cos(slope)
@@ -156,15 +152,16 @@ def linearised(point: Array, sample: SteadySample, machine: Machine) -> tuple[Ar
     point: [23], CONSTANTS. Raises as `outputs`.
     """
     model, by_turn, by_rolls = _solved(point, inputs_of(sample), machine)
-    step, drive, n, pace = model.step, model.drive, len(point), model.drive.u / model.length
+    step, n, pace = model.step, len(point), model.drive.u / model.length
     by_wheel, by_constants = step.rates_wheel[STEADY], step.rates_unknowns[STEADY]
-    by_constants[:, AT["wheel_zero"]] = -drive.wheel_scale * by_wheel
-    by_constants[:, AT["wheel_gain"]] = -drive.wheel * by_wheel
-    by_constants[-1] += model.folding * pace / model.length * model.active.geometry[:, 3:5].sum(axis=1)
+    by_constants += np.outer(by_wheel, step.wheel_unknowns[PLACES])
+    by_constants[-1] += model.folding * pace / model.length * model.plant.p_unknowns[:, LENGTH].sum(axis=1)
     by_u, by_folding = step.rates_x[STEADY, X_SPEED], -step.rates_x[STEADY, X_R + 1]
     by_u[-1] -= model.folding / model.length
     by_folding[-1] -= pace
-    known = np.column_stack([by_constants, by_u, drive.wheel_scale * by_wheel, by_rolls, by_folding])
+    known = np.column_stack(
+        [by_constants, by_u, -step.wheel_unknowns[unknowns.AT["wheel_zero"]] * by_wheel, by_rolls, by_folding]
+    )
     v, r, *_, articulation = -np.linalg.solve(by_turn, known)
     lever = point[AT["lever_t"]] - point[AT["cg_t"]]
     slope = np.array([r, articulation, v + lever * r])

@@ -31,7 +31,6 @@ from tilth.estimator.filters.measurement_model import (
 )
 from tilth.estimator.filters.propagation import (
     EVERY,
-    Active,
     GroundNoise,
     Plant,
     empty_plant,
@@ -40,16 +39,15 @@ from tilth.estimator.filters.propagation import (
     propagate,
     propagate_mean,
     set_bank,
-    set_geometry_jacobian,
     set_plant,
     set_processes,
     state_rates,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
-from tilth.estimator.filters.states import N_STATES, X_DISTURBANCE, X_UNEVEN, Places, Point
+from tilth.estimator.filters.states import N_STATES, X_DISTURBANCE, X_UNEVEN, Places
 from tilth.estimator.filters.transition import Transition, empty_transition
-from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, geometry, set_geometry
+from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, N_UNKNOWNS
 from tilth.estimator.record.record import SD, VALUE
 
 Array = NDArray[np.float64]
@@ -148,13 +146,11 @@ class SegmentRun(NamedTuple):
 
     state: JointState
     instrument: Array  # (30,), as JointEstimate.instrument
-    point: Point
     plant: Plant
-    active: Active
     step: Transition
     work: UpdateWork
     x_at: Array  # (30,), state at a measurement
-    h: Array  # (30 + a,), Jacobian of a measurement over it and the active unknowns
+    h: Array  # (30 + n,), Jacobian of a measurement over it and all unknowns
     H: Array  # (30 + a,), the same over the joint state at the tick
     H_unknowns: Array  # (a,), its last part
     error: Array  # (1,), innovation
@@ -166,15 +162,12 @@ def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, consid
     """At the first tick. The arguments are those of `track_segment`."""
     x, unknowns, na = estimate.x, estimate.unknowns, places.shape[0]
     n = N_STATES + na
-    active, plant = Active(places, np.zeros((na, 9))), empty_plant(setup, na)
-    point = Point(unknowns, np.zeros(6), geometry(setup.geometry, unknowns))
-    set_geometry_jacobian(point, active)
     P = pack_covariance(estimate, places)
     state, H = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P), np.zeros(n)
     step, work = empty_transition(na, na, P.shape[0]), empty_work(P.shape[0], n)
     return SegmentRun(
-        state, estimate.instrument, point, plant, active, step, work,
-        np.zeros(N_STATES), np.zeros(n), H, H[N_STATES:], np.zeros(1), np.zeros(1),
+        state, estimate.instrument, empty_plant(setup, na), step, work,
+        np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), H, H[N_STATES:], np.zeros(1), np.zeros(1),
     )  # fmt: skip
 
 
@@ -183,15 +176,14 @@ def linearise_anew(
     ticks: Array, k: int, u: float, setup: RigSetup, ground: GroundNoise, by_steering: bool, on: SegmentRun
 ) -> None:
     """At what is known by tick k, at speed u, m/s."""
-    point, plant, step = on.point, on.plant, on.step
-    set_geometry(setup.geometry, point.unknowns, point.geometry)
-    set_plant(plant, point, setup, on.active)
+    unknowns, plant, step = on.state.unknowns, on.plant, on.step
+    set_plant(plant, unknowns, setup, on.state.places)
     set_bank(u, setup, step)
     for c in range(on.state.P.shape[0]):
         set_processes(u, ground, setup, step, c)
-    linearise(on.state.x, ticks, k, point, plant, on.active, step)
+    linearise(on.state.x, ticks, k, unknowns, plant, step)
     if by_steering:
-        jacobian_at_instrument(on.instrument, ticks, k, point, plant, on.active, step)
+        jacobian_at_instrument(on.instrument, ticks, k, unknowns, plant, step)
 
 
 @inline_kernel
@@ -203,14 +195,14 @@ def take_measurement(
     obs = observation(ticks, row, k, u, x, following, on.state.unknowns)
     for i in range(N_STATES):
         on.x_at[i] = x[i] + obs.share * (following[i] - x[i])
-    error = row[VALUE] - predict_measurement(on.x_at, obs, on.point, on.active, setup, on.h)
+    error = row[VALUE] - predict_measurement(on.x_at, obs, on.state.unknowns, setup, on.h)
     noise_variance = (row[SD] * noise_factor(obs.kind, on.state.unknowns)) ** 2
     if not (math.isfinite(error) and math.isfinite(noise_variance)):
         counts[BAD] += 1.0
         return
     on.error[0], on.variance[0] = error, noise_variance
     between(obs.share, on.h, on.step, on.H)
-    unknowns_between(obs.share, on.h, on.step, on.H_unknowns)
+    unknowns_between(obs.share, on.h, on.state.places, on.step, on.H_unknowns)
     if not update(on.error, on.variance, on.H, on.state, on.step, GATES[obs.kind], on.work):
         counts[GATED] += 1.0
         return
@@ -228,8 +220,6 @@ def track_ticks(
     state, step, row = on.state, on.step, 0
     x, following = state.x, state.following
     for k in range(first, first + size):
-        for i in range(6):
-            on.point.theta[i] = math.exp(state.unknowns[i])
         drive = drive_at(ticks, k, state.unknowns)
         if (k - first) % EVERY == 0:
             linearise_anew(ticks, k, drive.u, setup, ground, by_steering, on)
@@ -237,12 +227,12 @@ def track_ticks(
         propagate_mean(on.instrument, drive.u, step, following)
         for i in range(N_STATES):
             on.instrument[i] = following[i]
-        propagate(x, drive, on.plant, on.active, step, following)
+        propagate(x, drive, state.unknowns, on.plant, state.places, step, following)
         after = rows_by(rows, row, k - first)
         for i in range(row, after):
             take_measurement(ticks, rows[i], k, drive.u, setup, tally, on)
         row = after
-        set_wheel_noise(drive.u, on.point.theta[3], setup.sds, step)
+        set_wheel_noise(drive.u, state.unknowns, setup.sds, step)
         add_ground(x, state.P[0], ground, tally.sums)
         propagate_covariances(state, step)
         for i in range(N_STATES):

@@ -27,6 +27,7 @@ from tilth.estimator.filters.states import (
     X_SPEED,
     X_V,
 )
+from tilth.estimator.filters.unknowns import N_UNKNOWNS
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,7 @@ class Transition(NamedTuple):
     rates: Array  # (12,), the rates themselves
     held: Array  # (12, 12), change of the states before X_DISTURBANCE per rate that is held over the tick
     wheel: Array  # (12,), change of the states before X_DISTURBANCE per rad of true wheel angle
+    wheel_unknowns: Array  # (n,), derivatives of the true wheel angle by all unknowns
     decay: Array  # (c, 30), factors on the states from X_DISTURBANCE on; they differ in the first three only
     q: Array  # (c, 30), variances of the process noise, without that of the position
     bank: Array  # (4, 4), of the states BANK_STATES
@@ -73,9 +75,10 @@ def empty_transition(na: int, rows: int, count: int) -> Transition:
     return Transition(
         rates_x, np.zeros(X_DISTURBANCE), np.zeros((X_DISTURBANCE, na)), np.zeros(X_DISTURBANCE),
         np.zeros((X_DISTURBANCE, X_DISTURBANCE)),
-        np.zeros(X_DISTURBANCE), np.ones((count, N_STATES)), np.zeros((count, N_STATES)), np.zeros((4, 4)),
-        np.zeros((4, 4)), F, np.zeros((N_COUPLED, na)), np.zeros((N_COUPLED, n)), np.zeros((n, N_COUPLED)),
-        np.zeros((N_COUPLED, n)), np.zeros((N_COUPLED, N_COUPLED)),
+        np.zeros(X_DISTURBANCE), np.zeros(N_UNKNOWNS),
+        np.ones((count, N_STATES)), np.zeros((count, N_STATES)),
+        np.zeros((4, 4)), np.zeros((4, 4)), F, np.zeros((N_COUPLED, na)), np.zeros((N_COUPLED, n)),
+        np.zeros((n, N_COUPLED)), np.zeros((N_COUPLED, n)), np.zeros((N_COUPLED, N_COUPLED)),
         np.zeros((3, X_DISTURBANCE, X_DISTURBANCE)), np.zeros((X_DISTURBANCE, X_POSITION)),
         np.zeros(N_STATES),
     )  # fmt: skip
@@ -108,8 +111,8 @@ def integrate_exponential(step: Transition) -> None:
 
 @inner_kernel
 def joint_jacobian(step: Transition) -> None:
-    """Fill the Jacobians from the rates' ones, except for the position's rows and the columns of wheel zero,
-    gain and latency."""
+    """Fill the Jacobians from the rates' ones, except for the position's rows and the columns of the wheel
+    angle's unknowns."""
     held, F = step.held, step.F
     multiply(held, step.rates_x, step.change)
     for i in range(X_DISTURBANCE):
@@ -131,8 +134,8 @@ def joint_jacobian(step: Transition) -> None:
 
 @inner_kernel
 def unknowns_jacobian(step: Transition) -> None:
-    """Fill F_unknowns from the rates' slopes, except for the position's rows and the columns of wheel zero,
-    gain and latency."""
+    """Fill F_unknowns from the rates' slopes, except for the position's rows and the columns of the wheel
+    angle's unknowns."""
     if step.F_unknowns.shape[1] > 0:
         multiply(step.held, step.rates_unknowns, step.F_unknowns[:X_DISTURBANCE])
 

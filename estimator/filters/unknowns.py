@@ -12,6 +12,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.models import rolling_terms
 from tilth.estimator.models.parameters import GEOMETRY, geometry_of
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency
@@ -30,7 +31,7 @@ class ActsAs(IntEnum):
     NONE = 0  # on none: sensors, ground, geometry
     VALUE = 1  # it is the parameter
     FACTOR = 2  # natural logarithm of the parameter over its nominal value
-    SUM = 3  # it is added to the nominal value
+    SUM = 3  # it is added to the parameter, or taken off where the name has a minus
 
 
 class Unknown(NamedTuple):
@@ -40,7 +41,7 @@ class Unknown(NamedTuple):
     meaning: str  # with its unit
     prior: Callable[[Machine], Prior]  # sd 0: the machine file gives it as exact, and it stays fixed
     transform: ActsAs = ActsAs.NONE
-    acts_on: str = ""  # of rolling_terms.PARAMETERS
+    acts_on: str = ""  # of rolling_terms.PARAMETERS, one or several
     least: float = -math.inf  # of the parameter
     linear: bool = False  # the linear model has it as well
     needs_steering: bool = False  # along a row only ground that is not as in the model tells of it
@@ -130,8 +131,11 @@ ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
 
 UNKNOWNS: Final = (
     *(
-        Unknown(name, "natural logarithm, of N/rad or m", _tyre(k), needs_steering=True)
-        for k, name in enumerate(PARAMETERS)
+        Unknown(
+            name, "natural logarithm, of N/rad or m", _tyre(k), ActsAs.FACTOR, acts_on, linear=True,
+            needs_steering=True,
+        )
+        for k, (name, acts_on) in enumerate(zip(PARAMETERS, rolling_terms.PARAMETERS[:6], strict=True))
     ),
     Unknown(
         "wheel_zero", "rad: reading of the wheel angle when straight",
@@ -160,8 +164,11 @@ UNKNOWNS: Final = (
         model_sd=0.02, doubted=True,
     ),
     *(
-        Unknown(f"cg_{of}", "m: CG further forward than the file says", prior, doubted=True)
-        for of, prior in zip("ti", _CG_SD, strict=True)
+        Unknown(
+            f"cg_{of}", "m: CG further forward than the file says", prior, ActsAs.SUM, acts_on, linear=True,
+            doubted=True,
+        )
+        for of, prior, acts_on in zip("ti", _CG_SD, ("-a b c", "-d e"), strict=True)
     ),
     # 0.01 on a road, 0.1 on tilled soil
     Unknown(
@@ -232,13 +239,15 @@ UNKNOWNS: Final = (
     Unknown("s_position", "the same of positions and headings", _level(1.0, 0.5)),
     Unknown("s_roll", "the same of rolls", _level(1.0, 0.5)),
     *(
-        Unknown(name, "m: true less told" if name == "e" else "logarithm: true over told", _surveyed(k))
+        Unknown(name, "m: true less told", _surveyed(k), ActsAs.SUM, name, linear=True)
+        if name == "e"
+        else Unknown(name, "logarithm: true over told", _surveyed(k), ActsAs.FACTOR, name, linear=True)
         for k, name in enumerate(GEOMETRY)
     ),
 )  # fmt: skip
 """What the data may say otherwise than the machine file, or beyond it. A new row needs nothing else where it
-acts on a parameter of the motion model; what it does to a measurement stands with its sensor (sensors/), and
-what it does to the ground's noise in propagation.py.
+acts on a parameter of the motion model. What it does to a measurement is a symbol in
+deploy/observation_equations.py, and what it does to the ground's noise stands in propagation.py.
 
 model_sd: on the spatial plant such errors are left after 20 min of a field, where noise explains a tenth of
 them. doubted: on steps of 30 s rolls' zeros of 10 mrad sd came out as much as 44 mrad off, latency by 47 ms,
@@ -246,6 +255,7 @@ and the gain of `steady_state` by 5 %; a side slope all the way is taken for zer
 aside. In headland turns the tracker moves a CG by up to 15 cm."""
 
 NAMES: Final = tuple(row.name for row in UNKNOWNS)
+N_UNKNOWNS: Final = len(NAMES)
 NEED_STEERING: Final = [k for k, row in enumerate(UNKNOWNS) if row.needs_steering]
 NOISES: Final = NAMES[NAMES.index("push_t") : NAMES.index("s_roll") + 1]
 
@@ -261,18 +271,10 @@ MASSES: Final = (AT["m_t"], AT["m_i"])
 itself goes by the small couplings between the bodies, where errors of the model are largest."""
 
 # Indices for kernels. Of what tractor and implement have, the tractor's; the implement's is the next one.
-AT_WHEEL_ZERO: Final = AT["wheel_zero"]
-AT_WHEEL_GAIN: Final = AT["wheel_gain"]
+AT_SIGMA_F: Final = AT["sigma_f"]
 AT_LATENCY: Final = AT["latency"]
-AT_PAIR: Final = AT["pair_t"]
-AT_LEVER: Final = AT["lever_t"]
-AT_LATERAL_OFFSET: Final = AT["aside_i"]
-AT_CG: Final = AT["cg_t"]
-AT_HITCH: Final = AT["roll_hitch"]
 AT_ROLL_ZERO: Final = AT[ROLL_ZEROS[0]]
-AT_ROLL_DELAY: Final = AT["roll_late_t"]
 AT_YAW_RATE_DELAY: Final = AT["rate_late_t"]
-AT_ROLL_COMPENSATION: Final = AT["sway"]
 AT_DISTURBANCE: Final = AT["push_t"]
 AT_MEMORY: Final = AT["memory"]
 AT_UNEVEN: Final = AT["uneven"]
@@ -280,7 +282,43 @@ AT_S_YAW_RATE: Final = AT["s_yaw_rate"]
 AT_S_VELOCITY: Final = AT["s_velocity"]
 AT_S_POSITION: Final = AT["s_position"]
 AT_S_ROLL: Final = AT["s_roll"]
-AT_GEOMETRY: Final = AT["a"]
+
+
+class Action(NamedTuple):
+    """What one unknown does to one parameter."""
+
+    unknown: int  # index into NAMES
+    parameter: int  # index into rolling_terms.PARAMETERS
+    transform: ActsAs
+    sign: float
+    least: float
+    linear: bool
+
+
+def _actions() -> list[Action]:
+    """In the order of NAMES."""
+    return [
+        Action(
+            k, rolling_terms.PARAMETERS.index(name.lstrip("-")), row.transform,
+            -1.0 if name.startswith("-") else 1.0, row.least, row.linear,
+        )
+        for k, row in enumerate(UNKNOWNS)
+        for name in row.acts_on.split()
+    ]  # fmt: skip
+
+
+# The same as arrays for kernels.
+ACTIONS: Final = _actions()
+ACTED_ON: Final = np.array([one.parameter for one in ACTIONS])
+TRANSFORM: Final = np.array([int(one.transform) for one in ACTIONS])
+SIGN: Final = np.array([one.sign for one in ACTIONS])
+LEAST: Final = np.array([one.least for one in ACTIONS])
+IN_LINEAR: Final = np.array([one.linear for one in ACTIONS])
+ACTING: Final = np.array([one.unknown for one in ACTIONS])
+FIRST_ACTION: Final = np.searchsorted(ACTING, np.arange(len(NAMES) + 1))
+"""(n + 1,), of each unknown; then their number."""
+_FACTOR: Final = int(ActsAs.FACTOR)
+_SUM: Final = int(ActsAs.SUM)
 
 
 def prior(machine: Machine) -> tuple[Array, Array]:
@@ -295,23 +333,32 @@ def _prior(machine: Machine) -> tuple[Array, Array]:
     return mean, sd
 
 
+def apply(point: Array, linear: bool, p: Array, slopes: Array) -> None:
+    """Change p, (32 or more,), from the nominal rolling_terms.PARAMETERS to those at a point of NAMES; fill
+    slopes, of ACTIONS, with the derivative of each one's parameter by its unknown. Sums come after factors.
+    linear: only what the linear model has as well. Kernels call it."""
+    slopes[:] = 0.0
+    for summed in (False, True):
+        for k in range(len(ACTED_ON)):
+            if (TRANSFORM[k] == _SUM) != summed or (linear and not IN_LINEAR[k]):
+                continue
+            at, value = ACTED_ON[k], point[ACTING[k]]
+            if TRANSFORM[k] == _FACTOR:
+                p[at] *= math.exp(value)
+                slopes[k] = p[at]
+            else:
+                p[at] = p[at] + SIGN[k] * value if summed else value
+                slopes[k] = SIGN[k] if p[at] > LEAST[k] else 0.0
+            p[at] = max(p[at], LEAST[k])
+
+
 def geometry(base: Array, point: Array) -> Array:
-    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`. Kernels call it too."""
-    changed = np.zeros(9)
-    set_geometry(base, point, changed)
-    return changed
-
-
-def set_geometry(base: Array, point: Array, changed: Array) -> None:
-    """Fill changed, (9,), with `geometry`. Kernels call it."""
-    for i in range(9):
-        changed[i] = base[i] * math.exp(point[AT_GEOMETRY + i])
-    changed[4] = base[4] + point[AT_GEOMETRY + 4]
-    changed[0] -= point[AT_CG]
-    changed[1] += point[AT_CG]
-    changed[2] += point[AT_CG]
-    changed[3] -= point[AT_CG + 1]
-    changed[4] += point[AT_CG + 1]
+    """GEOMETRY at a point of NAMES, shape (9,). base: as `parameters.geometry_of`."""
+    first = rolling_terms.PARAMETERS.index(GEOMETRY[0])
+    p = np.ones(len(rolling_terms.PARAMETERS))
+    p[first : first + len(GEOMETRY)] = base
+    apply(point, True, p, np.zeros(len(ACTIONS)))
+    return p[first : first + len(GEOMETRY)]
 
 
 def levers(machine: Machine) -> Array:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from paths import ROOT
 
-from tilth.deploy import motion_equations
+from tilth.deploy import motion_equations, observation_equations
 from tilth.deploy.generate import PROTO, main
 
 pytestmark = pytest.mark.skipif(shutil.which("uv") is None, reason="needs uv")
@@ -16,6 +16,7 @@ FILES = {
     f"{PROTO}/tilth_pb2.pyi",
     "schemas/machine.schema.json",
     motion_equations.TARGET,
+    observation_equations.TARGET,
     "deploy/constraints.txt",
 }
 

@@ -7,9 +7,8 @@ from circle import demo_machine
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.propagation import empty_plant, set_parameters
+from tilth.estimator.filters.propagation import empty_plant, set_plant
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.states import Point
 from tilth.estimator.filters.steady_outputs import (
     CONSTANTS,
 )
@@ -19,6 +18,7 @@ from tilth.schemas.plausible import GRAVITY
 
 Array = NDArray[np.float64]
 MACHINE = demo_machine()
+NOTHING = np.zeros(0, dtype=np.int64)
 ROLLING = {"roll_f": 0.06, "roll_r": 0.06, "roll_i": 0.06}
 
 
@@ -42,9 +42,8 @@ def driven_on(
     the ground across, rad, or of that under either body, (2,)."""
     setup, at = rig_setup(MACHINE), unknowns.prior(MACHINE)[0]
     at[[unknowns.AT[name] for name in CONSTANTS]] = point
-    known = Point(at, np.exp(at[unknowns.SIX]), unknowns.geometry(setup.geometry, at))
     plant, step = empty_plant(setup, 0), 0.005
-    set_parameters(known, setup, plant.p)
+    set_plant(plant, at, setup, NOTHING)
     x, w, rate = x.copy(), np.zeros(rolling.N_INPUTS), np.zeros(len(rolling_terms.STATES))
     for name, value in (("delta", delta), ("u", speed)):
         w[rolling_terms.INPUTS.index(name)] = value

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.states import DT, X_ALPHA
 from tilth.estimator.filters.transition import Transition
-from tilth.estimator.filters.unknowns import AT_LATENCY, AT_WHEEL_GAIN, AT_WHEEL_ZERO
+from tilth.estimator.filters.unknowns import AT_LATENCY, AT_SIGMA_F
+from tilth.estimator.models.generated.observation_kernels import wheel_angle, wheel_angle_slopes
 from tilth.estimator.record.record import WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]
@@ -22,8 +23,8 @@ class DriveInputs(NamedTuple):
     u: float  # m/s
     u_rate: float  # m/s^2
     wheel: float  # true wheel angle, rad
-    wheel_rate: float  # its rate, rad/s
-    wheel_scale: float  # true wheel angle over reading
+    reading: float  # of the sensor, rad, by as much later as the latency says
+    reading_rate: float  # rad/s
 
 
 @inner_kernel
@@ -45,23 +46,25 @@ def drive_at(ticks: Array, k: int, unknowns: Array) -> DriveInputs:
     """Inputs of the rig in the middle of tick k. unknowns: (n,)."""
     k = min(k, ticks.shape[0] - 1)
     nxt = min(k + 1, ticks.shape[0] - 1)
-    scale = math.exp(-unknowns[AT_WHEEL_GAIN])
     behind = unknowns[AT_LATENCY]
     early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, nxt, behind)
-    wheel = (0.5 * (early + late) - unknowns[AT_WHEEL_ZERO]) * scale
     u, u_rate = 0.5 * (ticks[k, U] + ticks[nxt, U]), (ticks[nxt, U] - ticks[k, U]) / DT
-    return DriveInputs(u, u_rate, wheel, (late - early) / DT * scale, scale)
+    return driven_by(u, u_rate, 0.5 * (early + late), (late - early) / DT, unknowns)
 
 
 @inner_kernel
-def wheel_by_unknown(unknown: int, drive: DriveInputs) -> float:
-    """Derivative of the true wheel angle by an unknown of its sensor, AT_WHEEL_ZERO to AT_LATENCY."""
-    if unknown == AT_WHEEL_ZERO:
-        return -drive.wheel_scale
-    return -drive.wheel if unknown == AT_WHEEL_GAIN else -drive.wheel_rate
+def driven_by(u: float, u_rate: float, reading: float, reading_rate: float, unknowns: Array) -> DriveInputs:
+    """The inputs by what the sensors say, as DriveInputs."""
+    return DriveInputs(u, u_rate, wheel_angle(reading, reading_rate, unknowns), reading, reading_rate)
 
 
 @inner_kernel
-def set_wheel_noise(u: float, sigma_f: float, sds: Array, step: Transition) -> None:
+def set_wheel_slopes(drive: DriveInputs, unknowns: Array, out: Array) -> None:
+    """Fill out (n,), derivatives of the true wheel angle, by WHEEL_ANGLE_UNKNOWNS."""
+    wheel_angle_slopes(drive.reading, drive.reading_rate, unknowns, out)
+
+
+@inner_kernel
+def set_wheel_noise(u: float, unknowns: Array, sds: Array, step: Transition) -> None:
     """Process noise of the front slip angle from that of the wheel angle. sds: as RigSetup.sds."""
-    step.q[:, X_ALPHA] = (u / sigma_f * sds[0] * DT) ** 2
+    step.q[:, X_ALPHA] = (u / math.exp(unknowns[AT_SIGMA_F]) * sds[0] * DT) ** 2

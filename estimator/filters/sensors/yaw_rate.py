@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
-from tilth.estimator.filters.propagation import Active
 from tilth.estimator.filters.sensors.observation import Observation
-from tilth.estimator.filters.states import DT, N_STATES, X_R
+from tilth.estimator.filters.states import DT, X_R
 from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, AT_YAW_RATE_DELAY
+from tilth.estimator.models.generated.observation_kernels import yaw_rate
 
 Array = NDArray[np.float64]
 
@@ -25,11 +25,4 @@ def observe_yaw_rate(obs: Observation, x: Array, following: Array, unknowns: Arr
     return Observation(kind, place, share - unknowns[AT_YAW_RATE_DELAY + place] / DT, u, psi_ref, faster)
 
 
-@inner_kernel
-def predict_yaw_rate(x: Array, obs: Observation, active: Active, h: Array) -> float:
-    """rad/s; fills h."""
-    h[X_R + obs.place] = 1.0
-    for j in range(active.places.shape[0]):
-        if active.places[j] == AT_YAW_RATE_DELAY + obs.place:
-            h[N_STATES + j] = -obs.faster
-    return float(x[X_R + obs.place])
+predict_yaw_rate = yaw_rate  # rad/s

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tilth.deploy import motion_equations
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.measurement_model import predict_measurement
-from tilth.estimator.filters.propagation import Active, set_parameters
+from tilth.estimator.filters.propagation import set_parameters
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import (
@@ -24,9 +24,8 @@ from tilth.estimator.filters.states import (
     X_R,
     X_ROLL,
     X_V,
-    Point,
 )
-from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, STATES
 from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY
 from tilth.schemas.plausible import GRAVITY
@@ -36,11 +35,10 @@ Array = NDArray[np.float64]
 SETUP = rig_setup(MACHINE)._replace(heights=np.array([2.8, 0.0, 3.1, 2.0]))
 SPEED = 3.0
 predict = predict_measurement.interpreted()
-NOTHING = Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
 
 
-def somewhere(seed: int) -> tuple[Array, Point]:
-    """Folded, turning and swaying on level ground."""
+def somewhere(seed: int) -> tuple[Array, Array]:
+    """(x, point): folded, turning and swaying on level ground."""
     rng, (mean, sd) = np.random.default_rng(seed), unknowns.prior(MACHINE)
     values = mean + 0.5 * sd * rng.normal(size=len(mean))
     values[AT["aside_i"]] = 0.0
@@ -48,13 +46,13 @@ def somewhere(seed: int) -> tuple[Array, Point]:
     x[X_V], x[X_R], x[X_R + 1] = rng.uniform(-0.3, 0.3, 3)
     x[X_ROLL : X_ROLL + 4] = rng.uniform(-1.0, 1.0, 4) * [0.01, 0.01, 0.1, 0.1]
     x[X_PSI], x[X_PSI + 1] = 0.7, 0.7 - math.radians(50.0)
-    return x, Point(values, np.exp(values[SIX]), unknowns.geometry(SETUP.geometry, values))
+    return x, values
 
 
-def value(x: Array, kind: int, place: int, point: Point, setup: RigSetup = SETUP) -> float:
+def value(x: Array, kind: int, place: int, point: Array, setup: RigSetup = SETUP) -> float:
     psi_ref = x[X_PSI + place // 2]
     obs = Observation(kind, place, 0.0, SPEED, psi_ref, 0.0)
-    return float(predict(x, obs, point, NOTHING, setup, np.zeros(N_STATES)))
+    return float(predict(x, obs, point, setup, np.zeros(N_STATES + len(point))))
 
 
 def rate(x: Array) -> Array:
@@ -72,7 +70,7 @@ def rate(x: Array) -> Array:
 def test_a_velocity_is_the_rate_of_the_position(place: int, seed: int, roll_compensation: float) -> None:
     """Of a receiver that corrects its position for roll it may be that of the antenna all the same."""
     x, point = somewhere(seed)
-    point.unknowns[AT["sway"]] = roll_compensation
+    point[AT["sway"]] = roll_compensation
     antennas = SETUP._replace(heights=SETUP.heights + roll_compensation * SETUP.corrected)
     step = 1e-5 * rate(x)
     north, east = (
@@ -105,13 +103,13 @@ def test_slow_errors_of_receivers_stand_still_while_a_body_turns(heading: float)
 def test_a_receiver_on_the_axle_of_the_implement_moves_as_its_wheels_do(seed: int) -> None:
     """On the ground, and wherever the drawbar is."""
     x, point = somewhere(seed)
-    point.unknowns[AT["roll_hitch"]], point.unknowns[AT["sway"]] = 0.2, 0.0
+    point[AT["roll_hitch"]], point[AT["sway"]] = 0.2, 0.0
     p = np.zeros(len(PARAMETERS) + len(CONSTANTS))
-    set_parameters.interpreted()(point, SETUP, p)
+    set_parameters.interpreted()(point, SETUP, p, np.zeros(len(unknowns.ACTIONS)))
     named = dict(zip((*PARAMETERS, *CONSTANTS), p, strict=True)) | dict.fromkeys(INPUTS, 0.0) | {"u": SPEED}
     named |= dict(zip(STATES, x[: len(STATES)], strict=True))
     levers = SETUP.levers.copy()
-    levers[2, 0] = -named["e"] - point.unknowns[AT["lever_i"]] + point.unknowns[AT["cg_i"]]
+    levers[2, 0] = -named["e"] - point[AT["lever_i"]] + point[AT["cg_i"]]
     on_axle = SETUP._replace(levers=levers, heights=np.zeros(4))
     symbols = {sympy.Symbol(name, real=True): value for name, value in named.items()}
     across = float(motion_equations.velocities()["i"][1].subs(symbols))
@@ -123,7 +121,7 @@ def test_a_roll_is_lean_and_slope_a_little_ago_with_its_zero(place: int) -> None
     x, point = somewhere(1)
     body = place // 2
     x[X_BANK + body] = 0.3
-    late = point.unknowns[AT["roll_late_t"] + body]
-    zero = point.unknowns[AT["roll_zero_tractor_front"] + place]
+    late = point[AT["roll_late_t"] + body]
+    zero = point[AT["roll_zero_tractor_front"] + place]
     lean = x[X_ROLL + body] - late * x[X_ROLL + 2 + body]
     assert value(x, ROLL_ANGLE, place, point) == pytest.approx(lean + 0.3 / GRAVITY + zero, abs=1e-12)

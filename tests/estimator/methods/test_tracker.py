@@ -15,11 +15,9 @@ from tilth.estimator import fold
 from tilth.estimator.filters import fit_covariance, soil_change, unknowns
 from tilth.estimator.filters.measurement_model import predict_measurement
 from tilth.estimator.filters.propagation import (
-    Active,
     first_covariance,
     ground_at,
     set_bank,
-    set_geometry_jacobian,
 )
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.sensors.observation import Observation
@@ -34,7 +32,6 @@ from tilth.estimator.filters.states import (
     X_R,
     X_ROLL,
     X_V,
-    Point,
 )
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
@@ -151,15 +148,11 @@ def test_slopes_of_a_measurement_are_those_of_differences(kind: int, place: int)
     run = predict_measurement.interpreted()
 
     def at(x: Array, point: Array) -> tuple[float, Array]:
-        geometry, h = unknowns.geometry(SETUP.geometry, point), np.zeros(N_STATES + len(ACTIVE))
-        active = Active(ACTIVE, np.zeros((len(ACTIVE), 9)))
-        where = Point(point, np.exp(point[SIX]), geometry)
-        set_geometry_jacobian.interpreted()(where, active)
-        value = run(x, Observation(kind, place, 0.0, 4.5, 0.3, 0.0), where, active, SETUP, h)
-        return value, h
+        h = np.zeros(N_STATES + len(point))
+        return run(x, Observation(kind, place, 0.0, 4.5, 0.3, 0.0), point, SETUP, h), h
 
     h = at(x, point)[1]
-    states, constants = 1e-4 * np.eye(N_STATES), 1e-4 * np.eye(len(point))[ACTIVE]
+    states, constants = 1e-4 * np.eye(N_STATES), 1e-4 * np.eye(len(point))
     found = [at(x + step, point)[0] - at(x - step, point)[0] for step in states]
     found += [at(x, point + step)[0] - at(x, point - step)[0] for step in constants]
     np.testing.assert_allclose(h, np.array(found) / 2e-4, atol=1e-7)

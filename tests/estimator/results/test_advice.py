@@ -14,7 +14,6 @@ from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.fit_covariance import model_sd
 from tilth.estimator.filters.measurement_model import observation, predict_measurement
 from tilth.estimator.filters.propagation import (
-    Active,
     empty_plant,
     ground_at,
     linearise,
@@ -25,17 +24,7 @@ from tilth.estimator.filters.propagation import (
 )
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.sensors.wheel_angle import set_wheel_noise
-from tilth.estimator.filters.states import (
-    ACROSS,
-    ALONG,
-    DT,
-    N_STATES,
-    X_DISTURBANCE,
-    X_POSITION,
-    X_PSI,
-    X_V,
-    Point,
-)
+from tilth.estimator.filters.states import ACROSS, ALONG, DT, N_STATES, X_DISTURBANCE, X_POSITION, X_PSI, X_V
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX
 from tilth.estimator.models.family import model_named
@@ -171,27 +160,26 @@ def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(found))), limit.sd, rtol=0.15)
 
 
-def one_tick(setup: RigSetup, point: Point) -> Transition:
+def one_tick(setup: RigSetup, point: Array) -> Transition:
     """The linear model at SPEED: the same at each tick but for the position, which is not in it."""
-    nothing = Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
     plant = empty_plant.interpreted()(setup, 0)
-    set_plant.interpreted()(plant, point, setup, nothing)
+    set_plant.interpreted()(plant, point, setup, likelihood.NOTHING)
     ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0, 1)
     ticks[:, 1] = SPEED
     set_bank.interpreted()(SPEED, setup, step)
-    set_processes.interpreted()(SPEED, ground_at.interpreted()(point.unknowns), setup, step, 0)
-    set_wheel_noise.interpreted()(SPEED, point.theta[3], setup.sds, step)
-    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, nothing, step)
+    set_processes.interpreted()(SPEED, ground_at.interpreted()(point), setup, step, 0)
+    set_wheel_noise.interpreted()(SPEED, point, setup.sds, step)
+    linearise.interpreted()(np.zeros(N_STATES), ticks, 0, point, plant, step)
     return step
 
 
-def moving(seed: int, setup: RigSetup, point: Point, wheel: Array) -> Array:
+def moving(seed: int, setup: RigSetup, point: Array, wheel: Array) -> Array:
     """(n, 26): states of the linear model with its own disturbances."""
     rng, step = np.random.default_rng(seed), one_tick(setup, point)
     noise = rng.normal(size=(len(wheel), N_STATES)) * np.sqrt(step.q[0])
     along, across = rng.normal(size=(2, len(wheel))) * [[ALONG], [ACROSS]] * math.sqrt(DT)
     x = np.zeros((len(wheel), N_STATES))
-    ground = ground_at.interpreted()(point.unknowns)
+    ground = ground_at.interpreted()(point)
     x[0] = rng.normal(size=N_STATES) * np.sqrt(stationary.interpreted()(ground, setup))
     for k in range(len(wheel) - 1):
         x[k + 1] = step.F @ x[k] + noise[k]
@@ -207,8 +195,7 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     """A drive of the linear model at LINEAR with its own disturbances and white sensors."""
     count = round((advice.ADVICE.seconds + 1.0) / DT) + 1
     time: Array = np.arange(count, dtype=np.float64) * DT
-    setup, nothing = rig_setup(machine, linear=True), Active(np.zeros(0, dtype=np.int64), np.zeros((0, 9)))
-    point = Point(LINEAR, np.exp(LINEAR[SIX]), unknowns.geometry(setup.geometry, LINEAR))
+    setup, point = rig_setup(machine, linear=True), LINEAR
     ticks = np.zeros((count, 8))
     ticks[:, 0] = manoeuvre_named(candidate.manoeuvre).wheel_angle(
         time, math.radians(candidate.degrees), np.random.default_rng(1)
@@ -216,13 +203,14 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     ticks[:, 1] = SPEED
     x, rng = moving(seed, setup, point, ticks[:, 0]), np.random.default_rng(5000 + seed)
     ticks[:, 2:4] = x[:, X_PSI : X_PSI + 2]
-    rows, unused = advice.planned_rows(machine, count, (advice.ADVICE.receiver_rate,) * 4), np.zeros(N_STATES)
+    rows = advice.planned_rows(machine, count, (advice.ADVICE.receiver_rate,) * 4)
+    unused = np.zeros(N_STATES + len(point))
     observe, predict = observation.interpreted(), predict_measurement.interpreted()
     for row in rows:
         k = int(row[0])
-        obs = observe(ticks, row, k, SPEED, x[k], x[min(k + 1, count - 1)], point.unknowns)
+        obs = observe(ticks, row, k, SPEED, x[k], x[min(k + 1, count - 1)], point)
         at = x[k] + obs.share * (x[min(k + 1, count - 1)] - x[k])
-        value = predict(at, obs, point, nothing, setup, unused)
+        value = predict(at, obs, point, setup, unused)
         row[4] = value + rng.normal(0, row[5])
     return Record(0, ticks, rows)
 
