@@ -15,6 +15,18 @@ from tilth.estimator.calibration.roll import GROUND
 from tilth.estimator.calibration.stage_words import STAGE
 from tilth.estimator.calibration.stages import TALLY
 from tilth.estimator.calibration.steering_response import STEERING_RESPONSE
+from tilth.estimator.filters.drift import DRIFT
+from tilth.estimator.filters.fit_covariance import FIT_COVARIANCE
+from tilth.estimator.filters.likelihood import LIKELIHOOD
+from tilth.estimator.filters.propagation import PROPAGATION
+from tilth.estimator.filters.rig_setup import RIG_SETUP
+from tilth.estimator.filters.scoring import SEARCH
+from tilth.estimator.filters.sensors import heading, position, roll, velocity, yaw_rate
+from tilth.estimator.filters.soil_change import SOIL_CHANGE
+from tilth.estimator.filters.states import STATE
+from tilth.estimator.filters.steady_outputs import STEADY_OUTPUTS
+from tilth.estimator.filters.two_step_fit import TWO_STEP_FIT
+from tilth.estimator.filters.unknowns import PRIOR
 from tilth.estimator.fold import FOLD
 from tilth.estimator.methods.learned import LEARNED
 from tilth.estimator.methods.open_tracker import OPEN_TRACKER
@@ -82,6 +94,22 @@ COMPONENTS: Final = (
     Component("record/record_builder", RECORD),
     Component("record/steady_driving", STEADY_DRIVING),
     Component("record/windows", WINDOWS),
+    Component("filters/drift", DRIFT),
+    Component("filters/fit_covariance", FIT_COVARIANCE),
+    Component("filters/likelihood", LIKELIHOOD),
+    Component("filters/propagation", PROPAGATION),
+    Component("filters/rig_setup", RIG_SETUP),
+    Component("filters/scoring", SEARCH),
+    Component("filters/sensors/heading", heading.SENSOR),
+    Component("filters/sensors/position", position.SENSOR),
+    Component("filters/sensors/roll", roll.SENSOR),
+    Component("filters/sensors/velocity", velocity.SENSOR),
+    Component("filters/sensors/yaw_rate", yaw_rate.SENSOR),
+    Component("filters/soil_change", SOIL_CHANGE),
+    Component("filters/states", STATE),
+    Component("filters/steady_outputs", STEADY_OUTPUTS),
+    Component("filters/two_step_fit", TWO_STEP_FIT),
+    Component("filters/unknowns", PRIOR),
     Component("calibration/assignment", ASSIGNMENT),
     Component("calibration/drive", DRIVE),
     Component("calibration/faults", FAULTS),

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import slow_pair_sd
-from tilth.estimator.filters.states import PAIR_MEMORY_S
+from tilth.estimator.filters.states import STATE
 from tilth.estimator.filters.steady_outputs import CONSTANTS, INPUTS, largest_slip, linearised
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.record.record import Segment
@@ -154,7 +154,7 @@ def initial(machine: Machine) -> SteadyState:
 def _roll_zero_sd(machine: Machine, body: str) -> float:
     """Sd of the mean zero error of the rolls that a body's receivers measure, rad."""
     n = sum(r.mount.body == body for r in machine.receiver)
-    return unknowns.ROLL_ZERO_SD / math.sqrt(n) if n else 0.0
+    return unknowns.PRIOR.roll_zero_sd / math.sqrt(n) if n else 0.0
 
 
 def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | None = None) -> Estimate | None:
@@ -191,7 +191,7 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     retained_soil = retained_share(distance)
     retained = np.ones(len(STATES))
     retained[SOIL] = retained_soil
-    retained[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
+    retained[SLOW] = math.exp(-seconds / STATE.pair_memory_s)
     # The drift widens the sds of rolling resistance and tyre curve, but leaves their means.
     state.x[SLOW] *= retained[SLOW]
     added = (1 - retained**2) * state.prior_sd**2
@@ -375,8 +375,10 @@ def _find_posterior(state: SteadyState) -> None:
     covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
     # Errors of the model, as far as anything was learned.
     learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
-    tight = state.largest_angle > fit_covariance.TIGHT
-    room = np.square(fit_covariance.TIGHT_SD[:3] if tight else fit_covariance.MODEL_SD)
+    tight = state.largest_angle > fit_covariance.FIT_COVARIANCE.tight
+    room = np.square(
+        fit_covariance.FIT_COVARIANCE.tight_sd[:3] if tight else fit_covariance.FIT_COVARIANCE.model_sd
+    )
     state.log_covariance = covariance + np.diag(learned * room)
 
 

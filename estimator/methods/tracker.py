@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
-from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
+from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_STATES, START, X_BANK, X_DISTURBANCE, X_PSI, X_ROLL
@@ -39,6 +39,7 @@ from tilth.estimator.filters.unknowns import (
     Matrix,
     Vector,
 )
+from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
@@ -119,7 +120,7 @@ class TrackerState:
     residual_ratio: Annotated[Array, Shape((SENSORS,))] = field(default_factory=lambda: np.ones(SENSORS))
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
     disturbance: Annotated[Array, Shape((4,))] = field(
-        default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])
+        default_factory=lambda: np.square([*unknowns.PRIOR.disturbance, unknowns.PRIOR.uneven])
     )
     """Variances of the ground's pushes and of its unevenness."""
     segments_adapted: int = 0  # to which `disturbance` has been adapted
@@ -223,7 +224,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         return
     setup = rig_setup(machine)
     sds = np.sqrt(state.disturbance)
-    speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
+    speed = max(float(np.abs(record.ticks[:, U]).mean()), DRIVING.under_way)
     ground = GroundNoise(sds[:3], TRACKER.disturbance_length / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
@@ -330,9 +331,9 @@ def _articulation(record: Record) -> float:
 
 
 def is_tight(state: TrackerState, record: Record) -> bool:
-    """Whether a segment is of a sharp turn: wheels or articulation beyond fit_covariance.TIGHT."""
+    """Whether a segment is of a sharp turn: wheels or articulation beyond FIT_COVARIANCE.tight."""
     wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
-    return max(float(wheel.max()), _articulation(record)) > fit_covariance.TIGHT
+    return max(float(wheel.max()), _articulation(record)) > fit_covariance.FIT_COVARIANCE.tight
 
 
 def _is_sound(state: TrackerState) -> bool:
@@ -377,7 +378,7 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     logs = np.log(state.disturbance) + 0.5 * (ratio - 1.0) / memory
     state.disturbance = np.exp(
         logs
-        + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs)
+        + (np.log(np.square([*unknowns.PRIOR.disturbance, unknowns.PRIOR.uneven])) - logs)
         / TRACKER.disturbance_forgetting
     )
 
@@ -389,10 +390,10 @@ def _detect_soil_change(state: TrackerState) -> None:
         _forget_soil(state, change.logs)
         return
     state.segments_since_checkpoint += 1
-    if state.segments_since_checkpoint >= soil_change.CHECKPOINT_SEGMENTS:
+    if state.segments_since_checkpoint >= soil_change.SOIL_CHANGE.checkpoint_segments:
         state.segments_since_checkpoint = 0
         state.checkpoints.append(Checkpoint(state.mean[SIX].copy(), state.covariance[SIX, SIX].copy()))
-        del state.checkpoints[: -soil_change.MOST_CHECKPOINTS]
+        del state.checkpoints[: -soil_change.SOIL_CHANGE.most_checkpoints]
 
 
 def _forget_soil(state: TrackerState, logs: Array) -> None:
@@ -423,10 +424,14 @@ def reported_covariance(state: TrackerState) -> Array:
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / TRACKER.sd_factor**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
-    tight = state.tight_s > fit_covariance.TIGHT_SHARE * state.window_s
+    tight = state.tight_s > fit_covariance.FIT_COVARIANCE.tight_share * state.window_s
     lateral = math.sqrt(state.hard / max(state.window_s, DT))
     room = fit_covariance.model_sd(
-        tight, lateral, math.sqrt(state.disturbance[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
+        tight,
+        lateral,
+        math.sqrt(state.disturbance[3]),
+        state.mean[SIX],
+        fit_covariance.FIT_COVARIANCE.tracked_tight_sd,
     )
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 

@@ -345,7 +345,7 @@ def advise(
         angle = math.radians(candidate.degrees)
         lateral = angle * _speed_of(candidate, speed) ** 2 / wheelbase / math.sqrt(2.0)
         held = 0.0 if candidate.manoeuvre == "chirp" else 1.0
-        tight = angle > fit_covariance.TIGHT
+        tight = angle > fit_covariance.FIT_COVARIANCE.tight
         errors = fit_covariance.model_sd(tight, lateral, uneven, mean[SIX], held=held)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])

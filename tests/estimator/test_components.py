@@ -27,14 +27,10 @@ UNITS = COUNTED | {
     "rad/s", "rad/s^0.5", "rad/s^2", "rad s^2/m", "s", "s/s", "s/s^0.5", "sd",
 }  # fmt: skip
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
-    # layouts of arrays, and codes
+    # layouts of arrays, and codes; no limit
     "filters/predictor": ("UNLIMITED",),
     "filters/likelihood": ("NOTHING", "NO_READINGS"),
     "filters/soil_change": ("DIRECTIONS",),
-    "filters/states": (
-        "N_STATES", "X_ALPHA", "X_BANK", "X_BANK_RATE", "X_DISTURBANCE", "X_LATERAL_OFFSET", "X_PAIR",
-        "X_POSITION", "X_PSI", "X_R", "X_ROLL", "X_SPEED", "X_UNEVEN", "X_V",
-    ),
     "filters/tracker_kernel": ("BAD", "GATED", "GROUND", "SENSORS", "USED"),
     "filters/two_step_fit": ("OUTPUT_STATES", "PREDICTOR_STATES"),
     "models/nonlinear": ("DYNAMIC",),
@@ -66,7 +62,7 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
 
 PENDING = (
     "calibration/calibrate", "calibration/changes", "calibration/initial_guess", "calibration/linkage",
-    "calibration/priors", "calibration/verdict", "calibration/calibrated_file", "filters/", "watch/",
+    "calibration/priors", "calibration/verdict", "calibration/calibrated_file", "watch/",
     "methods/consistency", "methods/findings", "pose/motion_check",
     "pose/plausibility",    "pose/receiver_checks", "pose/wheel_check",
 )  # fmt: skip

@@ -298,14 +298,14 @@ def straight(seconds: float, seed: int) -> list[Segment]:
     ("uneven", "least", "most"), [(0.003, 1.0, 1.05), (0.006, 1.4, 1.6), (0.01, 5.0, 5.0)]
 )
 def test_rough_ground_asks_for_a_larger_change_of_soil(uneven: float, least: float, most: float) -> None:
-    assert least <= soil_change.limit(uneven) / soil_change.CHANGED <= most
+    assert least <= soil_change.limit(uneven) / soil_change.SOIL_CHANGE.changed <= most
 
 
 def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -> None:
     state = tracker.initial(MACHINE)
     state.disturbance[3] = 0.003**2
     before = np.diag(tracker.reported_covariance(state))
-    state.disturbance[3] = unknowns.ROUGH**2
+    state.disturbance[3] = unknowns.PRIOR.rough**2
     wider = np.diag(tracker.reported_covariance(state)) - before
     assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
     assert wider[3:] == pytest.approx(0.0, abs=1e-15)
@@ -317,7 +317,10 @@ def test_what_tight_turns_told_stays_as_uncertain_in_the_next_run() -> None:
     before.window_s, before.tight_s = 60.0, 20.0
     into_tracker(after, of_tracker(before))
     for state in (before, after):
-        assert np.all(np.sqrt(np.diag(tracker.reported_covariance(state))) >= fit_covariance.TRACKED_TIGHT_SD)
+        assert np.all(
+            np.sqrt(np.diag(tracker.reported_covariance(state)))
+            >= fit_covariance.FIT_COVARIANCE.tracked_tight_sd
+        )
 
 
 def test_what_moves_further_than_the_prior_lets_expect_is_less_sure() -> None:
