@@ -15,6 +15,7 @@ from tilth.estimator.calibration.roll import GROUND
 from tilth.estimator.calibration.stage_words import STAGE
 from tilth.estimator.calibration.stages import TALLY
 from tilth.estimator.calibration.steering_response import STEERING_RESPONSE
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters.drift import DRIFT
 from tilth.estimator.filters.fit_covariance import FIT_COVARIANCE
 from tilth.estimator.filters.likelihood import LIKELIHOOD
@@ -41,7 +42,6 @@ from tilth.estimator.models.nonlinear import NONLINEAR
 from tilth.estimator.models.planned_run import PLANNED_RUN
 from tilth.estimator.models.rolling_terms import ROLLING
 from tilth.estimator.pose.aligner import ALIGNMENT
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.pose.epoch_clock import EPOCH_CLOCK
 from tilth.estimator.pose.latency import LATENCY
 from tilth.estimator.pose.lateness import LATENESS
@@ -78,7 +78,6 @@ COMPONENTS: Final = (
     Component("models/planned_run", PLANNED_RUN),
     Component("models/rolling_terms", ROLLING),
     Component("pose/aligner", ALIGNMENT),
-    Component("pose/driving", DRIVING),
     Component("pose/epoch_clock", EPOCH_CLOCK),
     Component("pose/latency", LATENCY),
     Component("pose/lateness", LATENESS),
@@ -132,6 +131,7 @@ COMPONENTS: Final = (
     Component("methods/steady_state", STEADY_STATE),
     Component("methods/tracker", TRACKER),
     Component("methods/two_step", TWO_STEP),
+    Component("driving", DRIVING),
     Component("fold", FOLD),
     Component("warm_start", WARM_START),
 )

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.table import Table
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.identifiability import DISTURBANCES, SENSOR_SETS, cramer_rao
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.flow import MISPLACED, PARAMETERS, WITHOUT_RTK
 from tilth.schemas.machine import Machine

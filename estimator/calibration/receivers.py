@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from tilth.estimator.pose.driving import DRIVING
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Measurement, Mount, Origin, Position, Velocity

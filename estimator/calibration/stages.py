@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from tilth.estimator.calibration import receivers
 from tilth.estimator.calibration.initial_guess import CRUISE, FOLDED, MOVING, SLOW, STRAIGHT
 from tilth.estimator.calibration.receivers import HeardReceivers
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.aligner import ALIGNMENT
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle

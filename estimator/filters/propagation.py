@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, set_wheel_slopes
 from tilth.estimator.filters.states import (
@@ -72,7 +73,6 @@ from tilth.estimator.models.rolling import (
     rates_by_state,
 )
 from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]

@@ -12,6 +12,7 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
@@ -39,7 +40,6 @@ from tilth.estimator.filters.unknowns import (
     Matrix,
     Vector,
 )
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor

@@ -46,6 +46,7 @@ class AlignmentTuning:
     )
     lost_ns: int = tuned(1_500_000_000, "ns", "without a position for so long a receiver is lost")
     """Receivers send positions at 5 to 10 Hz, the slowest once a second."""
+    fix_ns: int = tuned(5_000_000_000, "ns", "a fix that was reported longer ago counts as unknown")
     moved_sd: float = tuned(0.03, "s", "least sd of the learned latency of a moved receiver: 0.1 m at 3 m/s")
     farthest_from_origin: float = tuned(
         5_000.0, "m", "further away, grid north is off by more than a milliradian"

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.driving import DRIVING
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]

@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, WHEEL, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.pose.geometry import Vector, lever, rotate, wrap
 from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, angle_at, sample_at
 from tilth.estimator.tuning import tuned
@@ -29,7 +29,6 @@ from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 class PoseTuning:
     """What poses hold, continue and compare."""
 
-    fix_ns: int = tuned(5_000_000_000, "ns", "a fix that was reported longer ago counts as unknown")
     straight: float = tuned(0.05, "rad/s", "at smaller yaw rates a body at cruise moves where it points")
     sharp_position_sd: float = tuned(0.1, "m", "positions with a larger sd are not compared with the survey")
     latency_sds: float = tuned(2.5, "sd", "of the machine file: further off, latency or position is wrong")
@@ -107,7 +106,7 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
             flags.append(Flag(FlagKind.NO_FIX, mount))
         elif not track.positions:
             flags.append(Flag(FlagKind.WAITING, mount))
-        if track.fix is not None and t_ns - track.fix_ns > POSE.fix_ns:
+        if track.fix is not None and t_ns - track.fix_ns > ALIGNMENT.fix_ns:
             flags.append(Flag(FlagKind.FIX_UNKNOWN, mount))
         elif track.fix is FixType.RTK_FLOAT:
             flags.append(Flag(FlagKind.FLOATING, mount))

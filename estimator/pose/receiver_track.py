@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
-from tilth.estimator.pose.driving import DRIVING
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
 from tilth.estimator.pose.geometry import Vector, wrap
 from tilth.estimator.pose.position_rate import PositionRate, observe

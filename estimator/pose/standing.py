@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.aligner import ALIGNMENT, WHEEL, WHEEL_NAME, Aligner
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.screen import SensorScreen
 from tilth.estimator.tuning import tuned

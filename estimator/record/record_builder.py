@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.pose.geometry import wrap
 from tilth.estimator.pose.receiver_track import Sample
 from tilth.estimator.pose.roll_pitch import roll_pitch_at

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
 from tilth.estimator.models.manoeuvres import MANOEUVRE, manoeuvre_named
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.record.record import (
     EAST,
     HEADING,

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from tilth.estimator.pose.aligner import ALIGNMENT
-from tilth.estimator.pose.pose import POSE
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -64,7 +63,7 @@ def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
     """Keeps the time and a fault in `device`: the next call counts from here."""
     state = _state(device, t_ns)
     status = pb.ReceiverStatus(mount=mount, state=state, source=device.source)
-    if device.fix is not None and t_ns - device.fix_ns < POSE.fix_ns:
+    if device.fix is not None and t_ns - device.fix_ns < ALIGNMENT.fix_ns:
         status.fix = device.fix.value
     if device.data_ns:
         status.age_s = (t_ns - device.data_ns) * 1e-9

@@ -9,10 +9,10 @@ import pytest
 from circle import demo_machine
 from paths import SHARED
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.fold import State, initial, step
 from tilth.estimator.pose import aligner, standing
 from tilth.estimator.pose.aligner import Aligner
-from tilth.estimator.pose.driving import DRIVING
 from tilth.estimator.pose.standing import StandingCheck
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import BodyPose, Estimate, Event, Flag, Frame, Pose, Status
