@@ -16,9 +16,9 @@ from tilth.estimator.tuning import plain, rows, tuned
 
 ESTIMATOR = ROOT / "estimator"
 COUNTED = {
-    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs", "fits",
+    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs", "explanations", "fits",
     "frames", "instants", "intervals", "iterations", "measurements", "passes", "poses", "positions",
-    "readings",    "rounds",
+    "readings", "rounds",
     "rows", "runs", "samples", "segments", "senders", "spikes", "steps", "stretches", "swings",
     "ticks", "tries",
 }  # fmt: skip
