@@ -93,7 +93,7 @@ class SteadyTurn(TypedDict):
     yaw_rate_dB: float
 
 
-class Response(TypedDict):
+class GainAndPhase(TypedDict):
     """Of one output at OMEGA."""
 
     gain_dB: list[float]
@@ -104,8 +104,8 @@ class FrequencyResponse(TypedDict):
     """Of both yaw rates from the wheel angle, at OMEGA. Phases from −180° to 180°."""
 
     omega_rad_per_s: list[float]
-    r_t: Response
-    r_i: Response
+    r_t: GainAndPhase
+    r_i: GainAndPhase
 
 
 class Rank(TypedDict):
@@ -124,14 +124,14 @@ class NoRegulator(TypedDict):
 
 
 @final
-class Regulator(Poles):
+class RegulatorFacts(Poles):
     """Of the closed loop. gain: by state."""
 
     input: str
     gain: dict[str, float]
 
 
-class Bound(Rank):
+class TyreBound(Rank):
     """Least standard deviations, as shares of the values: sd with all else known, sd_zero_unknown where the
     zero of the wheel-angle sensor is to be found as well."""
 
@@ -150,8 +150,8 @@ class AtSpeed(Poles):
     frequency_response: FrequencyResponse
     controllability: Rank
     observability: Observability
-    lqr: dict[str, Regulator | NoRegulator]
-    bound: Bound | None
+    lqr: dict[str, RegulatorFacts | NoRegulator]
+    bound: TyreBound | None
 
 
 class RigReport(TypedDict):
@@ -279,11 +279,11 @@ def frequency_response(sys: System) -> FrequencyResponse:
     """By the names of its outputs."""
     response = linear.frequency_response(sys, np.array(OMEGA))[:, :, 0]
     gain, phase = linear.decibel(response), np.degrees(np.angle(response))
-    of_t, of_i = (Response(gain_dB=gain[:, k].tolist(), phase_deg=phase[:, k].tolist()) for k in (0, 1))
+    of_t, of_i = (GainAndPhase(gain_dB=gain[:, k].tolist(), phase_deg=phase[:, k].tolist()) for k in (0, 1))
     return {"omega_rad_per_s": list(OMEGA), "r_t": of_t, "r_i": of_i}
 
 
-def lqr(model: Model, rig: Rig, speed: float, actuator: Actuator | None) -> Regulator | NoRegulator:
+def lqr(model: Model, rig: Rig, speed: float, actuator: Actuator | None) -> RegulatorFacts | NoRegulator:
     """The dissertation's regulator, Q = 1 on every state and R = 800; `reason` where there is none."""
     sys = system(model, rig, speed, actuator=actuator)
     try:
@@ -294,7 +294,7 @@ def lqr(model: Model, rig: Rig, speed: float, actuator: Actuator | None) -> Regu
     return {"input": sys.inputs[0], "gain": gain, **poles(found.poles, speed)}
 
 
-def bound(model: Model, rig: Rig, speed: float, drive: Drive) -> Bound | None:
+def bound(model: Model, rig: Rig, speed: float, drive: Drive) -> TyreBound | None:
     """What the drive can give; None without parameters."""
     names = model.parameters
     if not names:

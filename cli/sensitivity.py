@@ -11,7 +11,7 @@ from typing import cast
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from tilth.analysis.sensitivity.answers import Made, SensitivityAnswer, SensitivityData, Values
+from tilth.analysis.sensitivity.answers import GlobalEntry, Made, SensitivityAnswer, SensitivityData, Values
 from tilth.analysis.sensitivity.local_answer import (
     OVERALL,
     LocalQuestion,
@@ -190,7 +190,7 @@ def _show(answer: SensitivityAnswer) -> None:
         for start in range(0, len(others), ACROSS):
             console.print(_table("", entry["local"], others[start : start + ACROSS]))
         if "global" in entry:
-            show_global(console, entry)
+            show_global(console, cast("GlobalEntry", entry))
 
 
 def _table(title: str, local: Mapping[str, Values], outputs: list[str]) -> RichTable:

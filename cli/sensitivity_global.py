@@ -15,7 +15,7 @@ from rich.table import Table as RichTable
 
 from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
-from tilth.analysis.sensitivity.answers import GlobalRow, LocalEntry, SensitivityAnswer
+from tilth.analysis.sensitivity.answers import GlobalEntry, GlobalRow, LocalEntry, SensitivityAnswer
 from tilth.analysis.sensitivity.dask_batches import Certificates, DaskProblem, caution, on_dask
 from tilth.analysis.sensitivity.designs import (
     DISSERTATION,
@@ -176,14 +176,15 @@ def add_answers(answer: SensitivityAnswer, rig: Rig, design: Design, args: argpa
             try:
                 _check_room()
                 part, _ = run(plan, cache_folder() / "sensitivity", parts, progress=shown)
-                entry.update(cast("LocalEntry", global_answer(plan, part)))
+                found = global_answer(plan, part)
                 if args.indices:
-                    with_indices(entry, indices_answer(plan, entry["outputs"], args.workers))
+                    with_indices(found, indices_answer(plan, entry["outputs"], args.workers))
+                entry.update(cast("LocalEntry", found))
             except (ValueError, DaskProblem) as error:
                 raise WrongUse(str(error)) from None
 
 
-def show_global(console: Console, entry: LocalEntry) -> None:
+def show_global(console: Console, entry: GlobalEntry) -> None:
     """To a terminal."""
     title = f"over {entry['points']} rigs at {entry['speed']:g} m/s, {entry['model']} model"
     table = RichTable(title=title, title_justify="left")

@@ -117,4 +117,4 @@ def _plain(one: RunSurvey) -> dict[str, object]:
 
 def _coverage_json(coverage: Coverage) -> dict[str, object]:
     """`gaps`: [t_ns, s] of each."""
-    return asdict(coverage) | {"longest_gap_s": max((length for _, length in coverage.gaps), default=0.0)}
+    return {**asdict(coverage), "longest_gap_s": max((length for _, length in coverage.gaps), default=0.0)}

@@ -59,7 +59,8 @@ def response_section(response: ResponseFacts | None) -> ReportSection | None:
     parts: list[Part] = [ReportText(text) for text in response.get("notes") or ()]
     loop = response.get("loop")
     parts += [ReportText(loop["sentence"])] if loop and loop["sentence"] else []
-    speed = f" at {response['speed']:.2f} m/s" if response.get("speed") else ""
+    driven_mps = response.get("speed")
+    speed = f" at {driven_mps:.2f} m/s" if driven_mps else ""
     for output in data["outputs"]:
         parts += [_figure(data, output, speed), _table(data, output)]
     parts += [

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.analysis.report.data import Envelope, PathCurves, PublishedCurve, Track
+from tilth.analysis.report.data import Envelope, PathCurves, PublishedCurve, TrackFacts
 from tilth.analysis.runs.segments import LONGEST_GAP_S, DrivenSegment
 from tilth.analysis.runs.table import Table
 from tilth.schemas.flow import PARAMETERS, Status
@@ -49,7 +49,7 @@ def path_curves(poses: Table, segments: Sequence[DrivenSegment]) -> PathCurves:
     }
 
 
-def _track(poses: Table, body: str) -> Track:
+def _track(poses: Table, body: str) -> TrackFacts:
     """Broken where poses are missing."""
     x, y = poses[f"{body}_x_m"], poses[f"{body}_y_m"]
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))

@@ -8,7 +8,7 @@ from tilth.replay.estimates_json import ParameterEntry
 Numbers = list[float | None]
 
 
-class Gap(TypedDict):
+class GapFacts(TypedDict):
     start_s: float
     seconds: float
 
@@ -18,7 +18,7 @@ class Gaps(TypedDict):
 
     count: int
     all_s: float
-    longest: list[Gap]
+    longest: list[GapFacts]
 
 
 class SensorFacts(TypedDict):
@@ -127,7 +127,7 @@ class LogFacts(TypedDict):
     sha256: str
 
 
-class Origin(TypedDict):
+class OriginFacts(TypedDict):
     """cut: names of files without their end. recorded_with, reported_with: versions by name."""
 
     logs: list[LogFacts]
@@ -140,14 +140,14 @@ class Origin(TypedDict):
     simulated: bool
 
 
-class Track(TypedDict):
+class TrackFacts(TypedDict):
     """Of a CG in W, m; None breaks the line."""
 
     x: Numbers
     y: Numbers
 
 
-class SegmentTrack(Track):
+class SegmentTrack(TrackFacts):
     number: int
     kind: str
 
@@ -155,8 +155,8 @@ class SegmentTrack(Track):
 class PathCurves(TypedDict):
     """segments: the tractor's way in each."""
 
-    tractor: Track
-    implement: Track
+    tractor: TrackFacts
+    implement: TrackFacts
     segments: list[SegmentTrack]
 
 
@@ -195,7 +195,7 @@ class RunFacts(TypedDict):
     duration_s: float
     start_utc_s: float | None
     machine: MachineFacts
-    origin: Origin
+    origin: OriginFacts
     driving: Driving
     sensors: list[SensorFacts]
     gaps: Gaps

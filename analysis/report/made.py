@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from tilth.analysis.report.data import Origin, ReportData, RunFacts
+from tilth.analysis.report.data import OriginFacts, ReportData, RunFacts
 from tilth.analysis.report.document import WARNING, Part, ReportCell, ReportSection, ReportTable, ReportText
 from tilth.analysis.report.glance import at_a_glance, contradicted
 from tilth.analysis.report.published import RECOMMENDED, values_table
@@ -108,7 +108,7 @@ def made_section(data: ReportData) -> ReportSection:
     return ReportSection("made", "How this was made", tuple(parts))
 
 
-def _results(origin: Origin) -> str:
+def _results(origin: OriginFacts) -> str:
     if origin["replayed"]:
         return "replayed for this report"
     return f"as recorded, by tilth {origin['recorded_with'].get('version', NOTHING)}"

@@ -1,13 +1,13 @@
 """Where a run comes from: its logs and their sums, the machine file, versions; and what makes it doubtful."""
 
-from tilth.analysis.report.data import Origin
+from tilth.analysis.report.data import OriginFacts
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
 from tilth.logger.log.mcap_log import machine_sha256, software
 from tilth.schemas.readable import readable
 
 
-def origin_of(run: Run) -> Origin:
+def origin_of(run: Run) -> OriginFacts:
     """Raises OSError."""
     replayed = any(file.path not in run.sources for file in run.files)
     return {

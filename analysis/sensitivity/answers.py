@@ -7,7 +7,7 @@ Values = dict[str, float | None]  # by output or parameter
 Numbers = list[float | None]
 
 
-class Refused(TypedDict):
+class RefusedSpeed(TypedDict):
     """reason: why nothing is answered there, a sentence."""
 
     speed: float
@@ -53,9 +53,9 @@ class IndicesAnswer(IndexCounts):
     outputs: dict[str, dict[str, Indices]]
 
 
-class GlobalRow(TypedDict, total=False):
-    """Sensitivities to one parameter over all rigs; with indices where they were asked for. by_output: the
-    same of each output."""
+class GlobalRow(TypedDict):
+    """Sensitivities to one parameter over all rigs; with indices only where they were asked for. by_output:
+    the same of each output."""
 
     mean: float | None
     sd: float | None
@@ -110,14 +110,13 @@ GlobalAnswer = TypedDict(
         "unstable_where": str,
         "unstable_domain": Domain | None,
         "unstable_pairs": list[PairAnswer],
-        "indices": IndexCounts,
+        "indices": NotRequired[IndexCounts],
     },
-    total=False,
 )
 """Over many rigs, by parameter. global_stable: without indices, of stable points alone."""
 
 
-class LocalEntry(GlobalAnswer):
+class LocalEntry(TypedDict):
     """At one speed by one model. local: parameter -> output, and "overall" -> per cent of the output for each
     per cent of the parameter; None where there is none."""
 
@@ -126,6 +125,10 @@ class LocalEntry(GlobalAnswer):
     seconds: float
     outputs: list[str]
     local: dict[str, Values]
+
+
+class GlobalEntry(LocalEntry, GlobalAnswer):
+    """The same, and over many rigs."""
 
 
 class DesignAnswer(TypedDict):
@@ -144,7 +147,7 @@ class LocalAnswer(TypedDict):
     step: str
     input: str
     speeds: list[LocalEntry]
-    refused: list[Refused]
+    refused: list[RefusedSpeed]
 
 
 class SensitivityAnswer(LocalAnswer):
@@ -161,7 +164,7 @@ class ChangedCurves(TypedDict):
     changed: Numbers
 
 
-class Transfer(TypedDict):
+class TransferSlopes(TypedDict):
     """By parameter over omega: per cent for each per cent; rad for each unit of the logarithm."""
 
     gain: dict[str, Numbers]
@@ -172,7 +175,7 @@ class FrequencyEntry(TypedDict):
     """transfers: by output."""
 
     speed: float
-    transfers: dict[str, Transfer]
+    transfers: dict[str, TransferSlopes]
 
 
 class FrequencyAnswer(TypedDict):
@@ -269,7 +272,7 @@ class UncertaintyAnswer(TypedDict):
     input: str
     parameters: dict[str, Assumed]
     speeds: list[UncertaintyEntry]
-    refused: list[Refused]
+    refused: list[RefusedSpeed]
 
 
 class UncertaintyData(UncertaintyAnswer):

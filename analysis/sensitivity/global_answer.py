@@ -70,7 +70,8 @@ def with_indices(answer: GlobalAnswer, found: IndicesAnswer) -> None:
     for name, row in answer["global"].items():
         row.update(cast("GlobalRow", found["overall"][name]))
         for output, rows in found["outputs"].items():
-            row["by_output"].setdefault(output, {}).update(cast("GlobalRow", rows[name]))
+            indices = cast("GlobalRow", rows[name])
+            row["by_output"].setdefault(output, cast("GlobalRow", {})).update(indices)
     answer["indices"] = {"points": found["points"], "lost": found["lost"]}
 
 

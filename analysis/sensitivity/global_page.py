@@ -11,13 +11,21 @@ from tilth.analysis.report.document import (
     ReportText,
 )
 from tilth.analysis.report.wording import NOTHING, listed, number
-from tilth.analysis.sensitivity.answers import DesignAnswer, GlobalRow, Interval, LocalEntry, SensitivityData
+from tilth.analysis.sensitivity.answers import (
+    DesignAnswer,
+    GlobalEntry,
+    GlobalRow,
+    IndexCounts,
+    Interval,
+    SensitivityData,
+)
 
 
-def global_section(data: SensitivityData, entry: LocalEntry) -> ReportSection:
+def global_section(data: SensitivityData, entry: GlobalEntry) -> ReportSection:
     """entry: one that has them."""
     key = f"{entry['model']}-global-{entry['speed']:g}".replace(".", "-")
-    design = data["design"]
+    design = data.get("design")
+    assert design is not None
     parts: list[Part] = [
         ReportText(
             f"The mean of the sensitivities of {listed(entry['global_outputs'])}, as at one point, over "
@@ -35,12 +43,12 @@ def global_section(data: SensitivityData, entry: LocalEntry) -> ReportSection:
     if entry["unstable_pairs"]:
         parts += _pairs(entry, key)
     if "indices" in entry:
-        parts += _indices(entry, key)
+        parts += _indices(entry, entry["indices"], key)
     title = f"Over many rigs, {entry['speed']:g} m/s, {entry['model']} model"
     return ReportSection(key, title, tuple(parts))
 
 
-def _table(entry: LocalEntry, key: str) -> ReportTable:
+def _table(entry: GlobalEntry, key: str) -> ReportTable:
     stable = entry["global_stable"]
     rows = tuple(
         (
@@ -58,7 +66,7 @@ def _table(entry: LocalEntry, key: str) -> ReportTable:
     return ReportTable(f"{key}-table", caption, columns, rows)
 
 
-def _sorted(entry: LocalEntry) -> list[tuple[str, GlobalRow]]:
+def _sorted(entry: GlobalEntry) -> list[tuple[str, GlobalRow]]:
     return sorted(entry["global"].items(), key=lambda pair: -(pair[1]["median"] or 0.0))
 
 
@@ -66,7 +74,7 @@ def _cell(value: float | None) -> ReportCell:
     return ReportCell(NOTHING) if value is None else ReportCell(number(value, 3), value)
 
 
-def _spreads(entry: LocalEntry, key: str) -> ReportFigure:
+def _spreads(entry: GlobalEntry, key: str) -> ReportFigure:
     rows = [
         {"name": name, "low": row["q05"], "high": row["q95"], "median": row["median"], "mean": row["mean"]}
         for name, row in _sorted(entry)
@@ -95,7 +103,7 @@ def _value(found: Interval | None) -> float | None:
     return None if found is None else found["value"]
 
 
-def outputs_with_indices(entry: LocalEntry) -> dict[str, dict[str, GlobalRow]]:
+def outputs_with_indices(entry: GlobalEntry) -> dict[str, dict[str, GlobalRow]]:
     """output -> parameter -> with its indices; the largest total index first."""
     if "indices" not in entry:
         return {}
@@ -111,15 +119,14 @@ def outputs_with_indices(entry: LocalEntry) -> dict[str, dict[str, GlobalRow]]:
     }
 
 
-def _indices(entry: LocalEntry, key: str) -> list[Part]:
+def _indices(entry: GlobalEntry, counts: IndexCounts, key: str) -> list[Part]:
     """A table of each output."""
-    found = entry["indices"]
     parts: list[Part] = []
-    if found["lost"] > 0:
+    if counts["lost"] > 0:
         parts.append(
             ReportText(
-                f"For the indices {100 * found['lost']:.1f} % of the points were left out: they, or one that "
-                "they are compared with, are of an unstable rig. The indices are of the stable rest."
+                f"For the indices {100 * counts['lost']:.1f} % of the points were left out: they, or one "
+                "that they are compared with, are of an unstable rig. The indices are of the stable rest."
             )
         )
     for output, rows in outputs_with_indices(entry).items():
@@ -144,7 +151,7 @@ def _indices(entry: LocalEntry, key: str) -> list[Part]:
     return parts
 
 
-def _unstable(design: DesignAnswer, entry: LocalEntry, key: str) -> ReportFigure:
+def _unstable(design: DesignAnswer, entry: GlobalEntry, key: str) -> ReportFigure:
     lows: Sequence[float | None] = design.get("low") or [None] * len(design["names"])
     highs: Sequence[float | None] = design.get("high") or [None] * len(design["names"])
     panels = [
@@ -166,7 +173,7 @@ def _unstable(design: DesignAnswer, entry: LocalEntry, key: str) -> ReportFigure
     )
 
 
-def _pairs(entry: LocalEntry, key: str) -> list[Part]:
+def _pairs(entry: GlobalEntry, key: str) -> list[Part]:
     """Where rigs are unstable in two parameters at once."""
     shown = entry["unstable_pairs"]
     figure = ReportFigure(

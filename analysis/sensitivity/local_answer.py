@@ -17,7 +17,7 @@ from tilth.analysis.sensitivity.answers import (
     LocalAnswer,
     LocalEntry,
     Numbers,
-    Refused,
+    RefusedSpeed,
     Values,
     finite,
 )
@@ -55,7 +55,7 @@ class LocalQuestion(NamedTuple):
 def local_answer(rig: Rig, question: LocalQuestion) -> LocalAnswer:
     """Raises ValueError where nothing can be answered."""
     speeds: list[LocalEntry] = []
-    refused: list[Refused] = []
+    refused: list[RefusedSpeed] = []
     for model in question.models:
         for speed, seconds in zip(question.speeds, question.seconds, strict=True):
             try:

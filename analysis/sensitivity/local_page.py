@@ -2,7 +2,7 @@
 frequency domain."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, TypedDict
+from typing import Final, TypedDict, cast
 
 from tilth.analysis.report.document import (
     WARNING,
@@ -19,6 +19,7 @@ from tilth.analysis.sensitivity.answers import (
     ChangedCurves,
     FrequencyAnswer,
     FrequencyEntry,
+    GlobalEntry,
     LocalEntry,
     Numbers,
     SensitivityData,
@@ -63,7 +64,9 @@ def local_report(data: SensitivityData) -> DriveReport:
     """Its sections by model."""
     models = list(dict.fromkeys(entry["model"] for entry in data["speeds"]))
     sections = [_short(data)]
-    sections += [global_section(data, entry) for entry in data["speeds"] if "global" in entry]
+    sections += [
+        global_section(data, cast("GlobalEntry", entry)) for entry in data["speeds"] if "global" in entry
+    ]
     for model in models:
         entries = [entry for entry in data["speeds"] if entry["model"] == model]
         title = "Local sensitivities" + (f", {model} model" if len(models) > 1 else "")

@@ -18,7 +18,7 @@ from tilth.analysis.sensitivity.answers import (
     AloneAnswer,
     Assumed,
     OutputAnswer,
-    Refused,
+    RefusedSpeed,
     UncertaintyAnswer,
     UncertaintyEntry,
     Values,
@@ -108,7 +108,7 @@ def per_unit(case: Case, rig: Rig) -> Array:
 def uncertainty_answer(known: Knowledge, question: UncertaintyQuestion) -> UncertaintyAnswer:
     """Raises ValueError where nothing can be answered, and for a covariance that is not positive definite."""
     speeds: list[UncertaintyEntry] = []
-    refused: list[Refused] = []
+    refused: list[RefusedSpeed] = []
     with side_by_side(2) as each:
         for model in question.models:
             for speed, seconds in zip(question.speeds, question.seconds, strict=True):

@@ -42,7 +42,8 @@ def causes(output: OutputAnswer) -> str:
 
 def in_words(name: str, output: OutputAnswer, parameters: Mapping[str, Assumed]) -> str:
     """What must be known for what is wanted of an output."""
-    found, unit = output["wanted"], output["unit"]
+    found, unit = output.get("wanted"), output["unit"]
+    assert found is not None
     wanted = f"For {name} to be known to {known_to(found['half'], unit)}"
     if found["factor"] is None:
         return f"{wanted} nothing is needed: no parameter that is not known moves it."
@@ -211,7 +212,8 @@ def _growth(entry: UncertaintyEntry, key: str) -> ReportFigure:
 def _wanted_table(
     name: str, output: OutputAnswer, parameters: Mapping[str, Assumed], key: str
 ) -> ReportTable:
-    found = output["wanted"]
+    found = output.get("wanted")
+    assert found is not None
     rows = tuple(
         (
             ReportCell(one),

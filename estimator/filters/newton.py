@@ -56,15 +56,19 @@ class Problem(Protocol[At]):
 
     def terms(self, at: At) -> tuple[At, Array, Array]:
         """(the point with its derivatives, gradient (a,), information (a, a))."""
+        ...
 
     def after(self, at: At, change: Array) -> At | None:
         """Where a change (a,) leads; None if the cost is not lower there."""
+        ...
 
     def taken(self, step: int, at: At) -> At:
         """The point after so many steps, as the search goes on from it."""
+        ...
 
     def settled(self, step: int, before: At, at: At, sizes: Array) -> bool:
         """Whether it may end there. sizes: (a,), of the last step, in posterior sds."""
+        ...
 
 
 class Rule(NamedTuple):
@@ -114,9 +118,8 @@ def share_of_step(k: int, most: int) -> float:
 
 
 def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]:
-    """The minimum of a problem's cost from a point on, by at most so many damped steps."""
-    assert most > 0
-    damping = NEWTON.first_damping
+    """The minimum of a problem's cost from a point on, by at most so many damped steps, one or more."""
+    damping, sizes, promised = NEWTON.first_damping, np.zeros(0), math.inf
     for step in range(1, most + 1):
         at, gradient, information = problem.terms(at)
         newton, sds = newton_step(gradient, information)

@@ -16,10 +16,9 @@ from tilth.estimator.tuning import plain, rows, tuned
 
 ESTIMATOR = ROOT / "estimator"
 COUNTED = {
-    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs", "explanations", "fits",
-    "frames", "instants", "intervals", "iterations", "measurements", "passes", "poses", "positions",
-    "readings", "rounds",
-    "rows", "runs", "samples", "segments", "senders", "spikes", "steps", "stretches", "swings",
+    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs", "explanations",
+    "fits", "frames", "instants", "intervals", "iterations", "measurements", "passes", "poses", "positions",
+    "readings", "rounds", "rows", "runs", "samples", "segments", "senders", "spikes", "steps", "stretches", "swings",
     "ticks", "tries",
 }  # fmt: skip
 UNITS = COUNTED | {

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
-from tilth.estimator.filters.predictor import run_filter
+from tilth.estimator.filters.predictor import Innovations, run_filter
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import N_STATES
 from tilth.estimator.record.record import Record
@@ -23,7 +23,7 @@ TICKS = 40
 
 def main(machine_file: str, names: list[str]) -> dict[str, list[list[float]]]:
     """What is printed."""
-    likelihood.run_filter = run_filter.interpreted()  # type: ignore[attr-defined]
+    likelihood.run_filter = run_filter.interpreted()  # type: ignore[assignment,attr-defined]
     machine = Machine.model_validate(tomllib.loads(Path(machine_file).read_text(encoding="utf-8")))
     setup, (mean, _) = rig_setup(machine), unknowns.prior(machine)
     ticks = np.zeros((TICKS, 8))
@@ -31,7 +31,7 @@ def main(machine_file: str, names: list[str]) -> dict[str, list[list[float]]]:
     record = Record(0, ticks, planned_rows(machine, TICKS, (10.0,) * 4))
     places = np.array([unknowns.AT[name] for name in names], dtype=np.int64)
 
-    def run(point: Array, closed: bool) -> likelihood.Innovations:
+    def run(point: Array, closed: bool) -> Innovations:
         return likelihood.innovations(record, setup, np.zeros(N_STATES), point, places, closed=closed)
 
     steps = 1e-4 * np.eye(len(mean))[places]

@@ -38,7 +38,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.reasons import Code
-from tilth.schemas.sentences import event_sentence, sentence
+from tilth.schemas.sentences import event_sentence, notice_sentence, sentence
 from tilth.simulator.scenario import Fault, Ground, Scenario
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -274,7 +274,7 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
     for _ in range(CONSISTENCY.least_poses):
         assert not told
         found = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
-        told += [text for _, text in found.events]
+        told += [notice_sentence(one) for _, one in found.events]
     assert len(told) == 1 and "+0.50 m where the rig stands still" in told[0]
     (one,) = consistency.contradictions(checks)
     assert one.code is Code.OFF_WHERE_PARKED and one.amounts == (0.5,) and one.since_ns == pose.t_ns

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.likelihood import Search, search_of, whitened_by_steering
+from tilth.estimator.filters.predictor import Innovations
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import N_STATES
 from tilth.estimator.filters.unknowns import AT
@@ -64,7 +65,7 @@ def test_slopes_are_those_of_differences_along_the_path_by_steering_alone(k: int
     """What the open loop does, as a change of the readings, in the innovations."""
     one, nudge = search(), 1e-4 * np.eye(len(LINEAR))[PLACES[k]]
 
-    def run(point: Array, record: Record, closed: bool) -> likelihood.Innovations:
+    def run(point: Array, record: Record, closed: bool) -> Innovations:
         return likelihood.innovations(record, SETUP, one.start, point, used=one.used, closed=closed)
 
     ahead, behind = (run(LINEAR + by, one.record, False).e for by in (nudge, -nudge))
