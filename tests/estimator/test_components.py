@@ -16,10 +16,11 @@ from tilth.estimator.tuning import plain, rows, tuned
 
 ESTIMATOR = ROOT / "estimator"
 COUNTED = {
-    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs", "explanations",
+    "averages", "bins", "bits", "blocks", "checkpoints", "comparisons", "directions", "epochs",
+    "explanations",
     "fits", "frames", "instants", "intervals", "iterations", "measurements", "passes", "poses", "positions",
-    "readings", "rounds", "rows", "runs", "samples", "segments", "senders", "spikes", "steps", "stretches", "swings",
-    "ticks", "tries",
+    "readings", "rounds", "rows", "runs", "samples", "segments", "senders", "spikes", "steps", "stretches",
+    "swings", "ticks", "tries",
 }  # fmt: skip
 UNITS = COUNTED | {
     "°", "1", "1/rad", "1/s", "by unknown", "chi^2", "m", "m/s", "m/s^0.5", "m/s^2", "nat", "ns", "rad",
