@@ -78,7 +78,8 @@ def changed_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tree = path / "tilth"
     for name in COPIED:
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "uv.lock"):
+    (tree / "docs").mkdir()
+    for name in ("pyproject.toml", "uv.lock", "docs/codes.md"):
         shutil.copy(ROOT / name, tree / name)
     for name, text in changed(EXAMPLE).items():
         (tree / name).write_text(text, encoding="utf-8")
