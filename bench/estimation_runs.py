@@ -30,7 +30,7 @@ from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models.parameters import rig_of
 from tilth.estimator.record.record import Segment
-from tilth.estimator.record.windows import WINDOW
+from tilth.estimator.record.windows import WINDOWS
 from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import Pose
 from tilth.schemas.machine import Machine
@@ -180,7 +180,7 @@ def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
 
 def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, ...]]]:
     """(figure, reached, to reach, whether held, values) of what takes time, on this computer as it is."""
-    case, length = estimation_study.HELD_OUT, round(WINDOW * scale)
+    case, length = estimation_study.HELD_OUT, round(WINDOWS.longest * scale)
     run = estimation_study.driven(machine(), case, 1, max(40.0 * scale, 12.0))
     given = estimation_study.poses_and_segments(run)
     record = estimation_study.windows([segment for _, segment in given if segment is not None], length)[0]

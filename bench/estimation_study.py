@@ -21,7 +21,7 @@ from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Record, Segment, concatenate
-from tilth.estimator.record.windows import WINDOW
+from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.sentences import event_sentence
@@ -244,7 +244,7 @@ def segments(run: Driven) -> list[Segment]:
     return [segment for _, segment in poses_and_segments(run) if segment is not None]
 
 
-def windows(some: list[Segment], length: int = WINDOW) -> list[Record]:
+def windows(some: list[Segment], length: int = WINDOWS.longest) -> list[Record]:
     """Windows of `length` consecutive segments that may be learned from."""
     made: list[list[Segment]] = []
     for segment in some:
@@ -294,7 +294,7 @@ def bound_of(information: Array, machine: Machine) -> Array:
 
 
 def window_of(
-    packaged: Machine, case: Case, seed: int, count: int = 1, length: int = WINDOW
+    packaged: Machine, case: Case, seed: int, count: int = 1, length: int = WINDOWS.longest
 ) -> Fitted | None:
     """The first windows of a run, fitted; None where the run has fewer."""
     run = driven(packaged, case, seed)

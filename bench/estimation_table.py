@@ -15,7 +15,7 @@ from rich.progress import Progress
 from rich.table import Table
 from spatial_logs import CACHE
 
-from tilth.estimator.record.windows import WINDOW
+from tilth.estimator.record.windows import WINDOWS
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class Bench:
     @property
     def window(self) -> int:
         """Stretches of 0.2 s."""
-        return round(WINDOW * self.scale)
+        return round(WINDOWS.longest * self.scale)
 
 
 def append_line(path: Path, made: Any) -> None:

@@ -12,7 +12,7 @@ from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.record.record import TICK_NS, Record
-from tilth.estimator.record.windows import WINDOW
+from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Way:
 
 
 def trajectory_error(
-    packaged: Machine, case: Case, seed: int, length: int = WINDOW
+    packaged: Machine, case: Case, seed: int, length: int = WINDOWS.longest
 ) -> tuple[float, float, float, float] | None:
     """Root mean square distance from the true way of both CGs over a window that was not fitted, m: (tractor,
     implement) by what was fitted, then both by what is true. The start is the true one; the wheel angle,

@@ -42,7 +42,9 @@ def reference(truth: Truth, until_s: float) -> NDArray[np.float64]:
         return nonlinear.derivative(truth.rig, x, nonlinear.inputs_of(1, delta=delta, speed=4.5)[0])
 
     span = (0.0, until_s)
-    return np.asarray(solve_ivp(slope, span, truth.states[0], max_step=nonlinear.MAX_STEP_S).y[:, -1])
+    return np.asarray(
+        solve_ivp(slope, span, truth.states[0], max_step=nonlinear.NONLINEAR.max_step_s).y[:, -1]
+    )
 
 
 def count(machine: Machine, truth: Truth) -> int:

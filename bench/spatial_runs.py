@@ -27,7 +27,7 @@ from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Record, Segment
-from tilth.estimator.record.windows import WINDOW
+from tilth.estimator.record.windows import WINDOWS
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication
 from tilth.schemas.machine import Machine
@@ -274,7 +274,7 @@ def informative_times(run: Run, after_s: float) -> list[float]:
 def held_out_errors(machine: Machine, run: Run, segments: list[Segment], scale: float) -> list[float] | None:
     """(tractor, implement), m, over a second window of 30 s by what the first one gave: on level ground, then
     with the measured roll taken for a slope, then level with the true rig. None without two windows."""
-    length = round(WINDOW * scale)
+    length = round(WINDOWS.longest * scale)
     records = windows(segments, length)
     if len(records) < 2:
         return None

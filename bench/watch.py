@@ -160,7 +160,7 @@ def watch_over(machine: Machine, given: Iterable[Frame]) -> Watched:
                 if isinstance(value, Pose):
                     poses += 1
                     blocks = state.diagnosis.watch.old_blocks + len(state.diagnosis.watch.blocks)
-                    watched += blocks >= watch.LEAST_BEFORE + watch.SINCE[0]
+                    watched += blocks >= watch.WATCH.least_before + watch.WATCH.since[0]
                 elif (
                     isinstance(value, Event)
                     and value.kind == EventKind.MOVED

@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import Final
 
 from tilth.client.calibration.shown import ComputedSoFar
-from tilth.estimator.calibration.initial_guess import LEAST_DRIVEN_S
+from tilth.estimator.calibration.initial_guess import INITIAL_GUESS
 from tilth.estimator.calibration.stage_words import progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.logger.job import Job, JobEnded
 from tilth.schemas.invocation import in_background
 
-LEAST_S: Final = LEAST_DRIVEN_S + 5.0  # of driving, before the first: the estimate misses ends of stretches
+LEAST_S: Final = (
+    INITIAL_GUESS.least_driven_s + 5.0
+)  # of driving, before the first: the estimate misses ends of stretches
 EVERY_S: Final = 120.0  # of driving, between two
 SOON_S: Final = 20.0  # the same, as long as the drive tells nothing: such an answer takes seconds
 

@@ -5,6 +5,7 @@ import json
 import math
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -12,10 +13,12 @@ from tilth.analysis.rig_report import LINEAR, SPEEDS, Drive, rig_report
 from tilth.analysis.rig_tables import rig_tables
 from tilth.cli import WrongUse, say, say_unusual
 from tilth.cli.desk_options import add_speed_and_model, between
+from tilth.estimator.components import COMPONENTS
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import SENSOR_SETS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
 from tilth.estimator.models.parameters import Rig, rig_of
+from tilth.estimator.tuning import Row, plain, rows
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.readable import reason_of
 
@@ -30,7 +33,12 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "a regulator can make of it, and how well a manoeuvre can tell its tyres' parameters.",
     )
     drive = Drive()
-    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    parser.add_argument("machine", type=Path, nargs="?", metavar="MACHINE.toml")
+    parser.add_argument(
+        "--parameters",
+        action="store_true",
+        help="list the estimators' tuning constants instead, with unit and meaning; needs no MACHINE",
+    )
     add_speed_and_model(parser, SPEEDS, "kinematic, dynamic and relaxation")
     parser.add_argument(
         "--manoeuvre",
@@ -66,6 +74,11 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """Always 0."""
+    if args.parameters:
+        _list_parameters(args.json)
+        return 0
+    if args.machine is None:
+        raise WrongUse("name the machine file of the rig, or ask for --parameters")
     machine, _ = read_machine(args.machine)
     say_unusual("model", machine)
     rig = rig_of(machine)
@@ -83,6 +96,39 @@ def run(args: argparse.Namespace) -> int:
     for part in rig_tables(machine.machine.name, report):
         console.print(part)
     return 0
+
+
+def _list_parameters(as_json: bool) -> None:
+    if as_json:
+        constants = [
+            {"component": component.name} | row._asdict() | {"value": plain(row.value)}
+            for component in COMPONENTS
+            for row in rows(component.record)
+        ]
+        print(json.dumps({"parameters": constants}, allow_nan=False))
+        return
+    for component in COMPONENTS:
+        print(f"{component.name}: {type(component.record).__doc__}")
+        for row in rows(component.record):
+            print(f"  {row.name:28} {_shown(row.value)}{_unit(row)}")
+            print(f"  {'':28} {row.meaning}")
+        print()
+
+
+def _unit(row: Row) -> str:
+    if row.unit == "1":
+        return ""
+    return f" {row.unit}" + (f" ({math.degrees(row.value):.4g}°)" if row.unit == "rad" else "")
+
+
+def _shown(value: Any) -> str:
+    """A constant for a reader: 2.5, "0.1, 0.3" or "north 0.1, east 0.3"."""
+    value = plain(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_shown(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value))
+    return f"{value:_}" if isinstance(value, int) else f"{value:.4g}"
 
 
 def _plot(path: Path, name: str, rig: Rig, models: list[str], speeds: list[float]) -> None:

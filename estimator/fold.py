@@ -5,8 +5,8 @@ frames in their order.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 from tilth.estimator import warm_start
 from tilth.estimator.diagnosis import diagnosis
@@ -30,6 +30,7 @@ from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state import State as State
+from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
@@ -50,7 +51,17 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
 from tilth.schemas.reasons import Code
 
-POSES_PER_DRAWING = 20  # 4 s: a viewer that opens a log in the middle, or connects late, soon has the bodies
+
+@dataclass(frozen=True, slots=True)
+class FoldTuning:
+    """What the fold publishes of itself."""
+
+    poses_per_drawing: int = tuned(
+        20, "poses", "between two drawings, 4 s: viewers that come late soon have them"
+    )
+
+
+FOLD: Final = FoldTuning()
 
 
 def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
@@ -144,7 +155,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
         return out
     if jump_ns < 0 or (jump_ns > 0 and state.time.misled):
         _clock_stepped(state, frame.t_ns, jump_ns, out)
-    elif jump_ns >= log_time.SILENCE_NS:
+    elif jump_ns >= log_time.LOG_TIME.silence_ns:
         silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, silence)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
@@ -163,7 +174,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
     if state.decoder.addresses.news:
         _publish_news(state, state.decoder.addresses.news, out)
     due_ns = state.aligner.due_ns
-    if due_ns and (position_taken or now_ns >= due_ns + aligner.DEADLINE_NS):
+    if due_ns and (position_taken or now_ns >= due_ns + aligner.ALIGNMENT.deadline_ns):
         for pose in poses(state.aligner, now_ns):
             _publish_pose(state, frame.t_ns, pose, out)
     return out
@@ -275,11 +286,11 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
 
 
 def _publish_drawing(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
-    """For viewers: the frames of both bodies at this pose and, at each POSES_PER_DRAWING-th, their shapes."""
+    """For viewers: the frames of both bodies at this pose and, each `poses_per_drawing`-th, their shapes."""
     frames = body_frames(state.machine, pose)
     if frames is not None:
         out.append(Publication(t_ns, "/drawing/frames", frames))
-    if state.poses % POSES_PER_DRAWING == 1:
+    if state.poses % FOLD.poses_per_drawing == 1:
         out.append(Publication(t_ns, "/drawing/bodies", drawing(state.machine, t_ns)))
 
 

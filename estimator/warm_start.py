@@ -15,12 +15,21 @@ from numpy.typing import NDArray
 from tilth.estimator.methods.estimators import Memory, rows_for
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
-DOUBLES_S: Final = 86_400.0  # time in which the sd of a well-known number doubles
+
+@dataclass(frozen=True, slots=True)
+class WarmStartTuning:
+    """How what was learned fades from run to run."""
+
+    doubles_s: float = tuned(86_400.0, "s", "in which the sd of a well-known number doubles")
+
+
+WARM_START: Final = WarmStartTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +116,7 @@ def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: flo
         covariance[k, :] = covariance[:, k] = 0.0
         covariance[k, k] = prior[k, k]
     block = np.ix_(active, active)
-    share = 4.0 ** (-elapsed_s / DOUBLES_S)
+    share = 4.0 ** (-elapsed_s / WARM_START.doubles_s)
     saved_information, prior_information = np.linalg.inv(covariance[block]), np.linalg.inv(prior[block])
     information = share * saved_information + (1.0 - share) * prior_information
     vector = share * saved_information @ mean[active] + (1.0 - share) * prior_information @ prior_mean[active]

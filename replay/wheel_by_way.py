@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration.calibrate import TractorMotion
-from tilth.estimator.calibration.faults import EXPLAINED
-from tilth.estimator.calibration.initial_guess import MOVING, SLOW
+from tilth.estimator.calibration.faults import FAULTS
+from tilth.estimator.calibration.initial_guess import INITIAL_GUESS
 from tilth.estimator.calibration.least_squares import solve
 from tilth.estimator.rig.residuals import path_angle, wheel_slopes
 from tilth.replay.wheel_search import FEWEST_SAMPLES, SLOWEST_HZ, Words, may_hold_it, with_sign, words_of
@@ -177,7 +177,7 @@ def _of_message(
         made = _fitted(times[~none], values, motion)
         if made is None:
             continue
-        if made.explained >= EXPLAINED and made.gain != 0.0:
+        if made.explained >= FAULTS.explained and made.gain != 0.0:
             seen = int(words[none][0]) if none.any() else None
             word = WheelWord(
                 bus, can_id, extended, start_byte, byte_order, bits, signed or rudder,
@@ -211,10 +211,10 @@ class _Fitted(NamedTuple):
 def _fitted(times_ns: Words, values: Words, motion: TractorMotion) -> _Fitted | None:
     """None where the word hardly goes with the way, or too little was driven."""
     u, r = motion.speed, motion.yaw_rate
-    path = path_angle(motion.wheelbase, np.where(u > MOVING, u, 1.0), r)
-    known = (u > MOVING) & np.isfinite(r) & np.isfinite(u)
+    path = path_angle(motion.wheelbase, np.where(u > INITIAL_GUESS.moving, u, 1.0), r)
+    known = (u > INITIAL_GUESS.moving) & np.isfinite(r) & np.isfinite(u)
     known &= (motion.t_ns > times_ns[0] + 2e9) & (motion.t_ns < times_ns[-1] - 2e9)
-    slow, fast = known & (u < SLOW), known & (u >= SLOW)
+    slow, fast = known & (u < INITIAL_GUESS.slow), known & (u >= INITIAL_GUESS.slow)
     slow = slow if np.count_nonzero(slow) > FEWEST_ROWS else known
     if np.count_nonzero(slow) < FEWEST_ROWS or np.std(path[slow]) < WINDING:
         return None

@@ -9,7 +9,7 @@ from typing import Any, Final
 import tomlkit
 from tomlkit.items import AbstractTable, Item
 
-from tilth.estimator.filters.unknowns import ROLL_ZERO_SD
+from tilth.estimator.filters.unknowns import PRIOR
 from tilth.schemas.machine import Machine, Quantity
 
 EARLIER: Final = re.compile(r"^calibrate [0-9-]+(; was [^;]*)?(; |$)")  # of a calibration before
@@ -24,7 +24,7 @@ _WHEEL: Final = (
 )  # fmt: skip
 _HEXADECIMAL: Final = ("id", "mask", "not_available")
 _TRACTOR: Final = ("c", "ackermann", "pair_yaw_sd", "lever_sd", "kingpin_distance")
-_UNSAID: Final = {"roll_zero": f"0 (sd {math.degrees(ROLL_ZERO_SD):.2g}) by default"}
+_UNSAID: Final = {"roll_zero": f"0 (sd {math.degrees(PRIOR.roll_zero_sd):.2g}) by default"}
 """What a key stands for that has no value without being written."""
 _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 

@@ -27,15 +27,15 @@ from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.models.planned_run import Scheduled, drives, wheel_angle
 from tilth.estimator.record.record import KIND, PLACE, SD, TICK, Record
-from tilth.estimator.record.windows import WINDOW
-from tilth.estimator.results.advice import HERTZ, expected, planned_rows
+from tilth.estimator.record.windows import WINDOWS
+from tilth.estimator.results.advice import ADVICE, expected, planned_rows
 from tilth.schemas.experiment import DrivingLimits, ExperimentPlan
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
 LEAD_S: Final = 1.0  # straight, that a driver's run has before the planned one
-WINDOW_TICKS: Final = round(WINDOW * 0.2 / DT)
+WINDOW_TICKS: Final = round(WINDOWS.longest * 0.2 / DT)
 SHORTEST_TICKS: Final = round(6.0 / DT)  # of a window that is fitted
 BETWEEN_M: Final = 150.0  # from one run to the next: the way round
 
@@ -109,7 +109,7 @@ def _on_average(known: Known, terms: Terms) -> Terms:
 def _rows(known: Known, count: int) -> Array:
     """What the receivers measure at `count` ticks, (m, 6)."""
     if not known.rates:
-        return planned_rows(known.machine, count, (HERTZ,) * 4)
+        return planned_rows(known.machine, count, (ADVICE.receiver_rate,) * 4)
     made = []
     for kind, place, hertz, sd in known.rates:
         ticks = np.arange(0.0, count - 1.0, 1.0 / max(hertz * DT, 1e-3))
@@ -123,7 +123,7 @@ def _rows(known: Known, count: int) -> Array:
 
 
 def _windows(record: Record) -> list[Record]:
-    """As the estimator takes a long drive: in windows of at most WINDOW."""
+    """As the estimator takes a long drive: in windows of at most WINDOWS.longest."""
     found: list[Record] = []
     for first in range(0, len(record.ticks), WINDOW_TICKS):
         last = min(first + WINDOW_TICKS, len(record.ticks))

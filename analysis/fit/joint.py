@@ -251,7 +251,9 @@ def _published(covariance: Array, told: Sequence[SegmentTerms], sd: Array, model
     wide = fit_covariance.widened(still, prior + sum(one.scores for one in every))
     by = np.sqrt(np.diag(wide) / np.diag(still))
     out = covariance * np.outer(by, by)
-    colour = 1.0 + fit_covariance.COLOUR_FACTOR * max(float(np.mean([one.whiteness for one in every])), 0.0)
+    colour = 1.0 + fit_covariance.FIT_COVARIANCE.colour_factor * max(
+        float(np.mean([one.whiteness for one in every])), 0.0
+    )
     out[SIX, :] *= colour
     out[:, SIX] *= colour
     out[SIX, SIX] += np.diag(model_sd**2)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.table import Table
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.identifiability import DISTURBANCES, SENSOR_SETS, cramer_rao
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.windows import TURNED
+from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.flow import MISPLACED, PARAMETERS, WITHOUT_RTK
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import share
@@ -31,7 +32,6 @@ LEAD_S: Final = 2.0  # of straight driving that belong to a segment before the w
 QUIET_S: Final = 3.0  # and after
 PAUSE_S: Final = 4.0  # wheels that are straight for less do not end a manoeuvre
 LONGEST_GAP_S: Final = 0.5  # between poses
-SLOWEST: Final = 1.0  # m/s
 SHORTEST_S: Final = 6.0
 SHORTEST_ROW_S: Final = 20.0
 LONGEST_ROW_S: Final = 120.0  # a longer one is cut: its parts tell alike
@@ -129,7 +129,7 @@ def stretches(poses: Table) -> Iterator[NDArray[np.intp]]:
     sound = np.array([not flags[text] for text in poses["flags"]])
     speed, angle = poses["tractor_forward_velocity_mps"], poses["wheel_angle_rad"]
     with np.errstate(invalid="ignore"):
-        good = sound & (poses["direction"] == 1) & (speed >= SLOWEST) & np.isfinite(angle)
+        good = sound & (poses["direction"] == 1) & (speed >= DRIVING.under_way) & np.isfinite(angle)
     good &= np.isfinite(poses["tractor_yaw_rate_radps"]) & np.isfinite(poses["tractor_heading_rad"])
     breaks = np.flatnonzero(np.diff(poses.t_s) > LONGEST_GAP_S) + 1
     edges = np.flatnonzero(np.diff(good.astype(np.int8))) + 1
@@ -140,7 +140,7 @@ def stretches(poses: Table) -> Iterator[NDArray[np.intp]]:
 
 def _of_stretch(poses: Table, rows: NDArray[np.intp]) -> Iterator[DrivenSegment]:
     t, angle = poses.t_s[rows], poses["wheel_angle_rad"][rows]
-    turned = np.abs(angle - _zero(poses, rows)) > TURNED
+    turned = np.abs(angle - _zero(poses, rows)) > WINDOWS.turned
     for first, last in _active(t, turned):
         start = np.searchsorted(t, t[first] - LEAD_S)
         end = min(int(np.searchsorted(t, t[last] + QUIET_S)), len(t) - 1)
@@ -190,7 +190,7 @@ def _kind(poses: Table, rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> st
     if len(halves) >= LEAST_CROSSINGS:
         trend = np.corrcoef(np.argsort(np.argsort(halves)), np.arange(len(halves)))[0, 1]
         return CHIRP if abs(trend) > TRENDING else RANDOM
-    if held >= HELD_SHARE and abs(middle) > TURNED:
+    if held >= HELD_SHARE and abs(middle) > WINDOWS.turned:
         return STEADY_TURN if t[-1] - t[0] > LONG_HOLD_S else STEP
     if np.max(np.abs(angle)) > HEADLAND_ANGLE and abs(heading[-1] - heading[0]) > HEADLAND_HEADING:
         return HEADLAND
@@ -199,7 +199,7 @@ def _kind(poses: Table, rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> st
 
 def _half_periods(t: Floats, angle: Floats) -> Floats:
     """s between changes of the side to which the wheels are turned."""
-    side = np.sign(angle) * (np.abs(angle) > TURNED)
+    side = np.sign(angle) * (np.abs(angle) > WINDOWS.turned)
     rows = np.flatnonzero(side)
     crossings = rows[1:][np.diff(side[rows]) != 0]
     return np.diff(t[crossings]) if crossings.size > 1 else np.zeros(0)
@@ -228,7 +228,7 @@ def tells(segment: DrivenSegment, poses: Table, machine: Machine) -> tuple[str, 
     there = poses.between(segment.start_s, segment.end_s)
     angle, t = there["wheel_angle_rad"], there.t_s
     known = np.isfinite(angle)
-    if np.count_nonzero(known) < 3 or segment.speed < SLOWEST or segment.kind == ROW:
+    if np.count_nonzero(known) < 3 or segment.speed < DRIVING.under_way or segment.kind == ROW:
         return ()  # of a row the bound is never near, and costs most as rows are long
     steps = np.arange(t[known][0], t[known][-1], _STEP_S)
     wheel: Floats = np.interp(steps, t[known], angle[known])

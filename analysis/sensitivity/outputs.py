@@ -19,7 +19,7 @@ from tilth.analysis.rig_report import steady_turn
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.linear_analysis import discretise, eigenvalues, scan, settling_time, system
-from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
+from tilth.estimator.models.manoeuvres import MANOEUVRE, manoeuvre_named
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.regulator import regulator
 
@@ -143,7 +143,7 @@ def case_of(
 
 def wheel_angles(steering: str, samples: int, angle: float) -> Array:
     """Of a manoeuvre from its beginning, rad, at each sample."""
-    time: Array = START_S + STEP_S * np.arange(samples, dtype=np.float64)
+    time: Array = MANOEUVRE.start_s + STEP_S * np.arange(samples, dtype=np.float64)
     return manoeuvre_named(steering).wheel_angle(time, angle, np.random.default_rng(SEED))
 
 

@@ -9,7 +9,7 @@ from scipy.special import ndtri
 from tilth.analysis.sensitivity.answers import BoundaryLine, PairAnswer
 from tilth.analysis.sensitivity.designs import Design, Grid, LogNormal
 from tilth.estimator.models.family import Model
-from tilth.estimator.models.linear_analysis import AT_ORIGIN, eigenvalues, system
+from tilth.estimator.models.linear_analysis import LINEAR_ANALYSIS, eigenvalues, system
 from tilth.estimator.models.parameters import Rig
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def _line(model: Model, rig: Rig, speed: float, design: Design, one: int, other:
 def _growth(model: Model, rig: Rig, speed: float) -> float:
     """Largest real part of the poles, 1/s; integrators aside, for the line would hang on their rounding."""
     poles = eigenvalues(system(model, rig, speed).a)
-    moving = poles[np.abs(poles) > AT_ORIGIN]
+    moving = poles[np.abs(poles) > LINEAR_ANALYSIS.at_origin]
     return float(moving.real.max()) if len(moving) else -1.0
 
 

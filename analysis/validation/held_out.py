@@ -283,5 +283,5 @@ def _horizon(run: Predictable, setup: RigSetup, point: Array, seconds: float) ->
 def _likelihood(run: Predictable, setup: RigSetup, point: Array) -> float:
     """Log-likelihood of a run with the state corrected as in a fit, nats, up to a constant."""
     made = likelihood.innovations(run.record, setup, run.start, point)
-    scored = _after(run.record.rows, likelihood.SETTLING_TICKS * TICK_NS * 1e-9)
+    scored = _after(run.record.rows, likelihood.LIKELIHOOD.settling_ticks * TICK_NS * 1e-9)
     return -0.5 * float(np.sum((made.e**2 / made.S + np.log(made.S))[scored]))

@@ -113,7 +113,7 @@ def _innovations(
     record, setup = window.record, rig_setup(machine)
     made = likelihood.innovations(record, setup, likelihood.first_state(record, setup), point)
     rows = record.rows
-    settled = rows[:, TICK] >= likelihood.SETTLING_TICKS
+    settled = rows[:, TICK] >= likelihood.LIKELIHOOD.settling_ticks
     at_s = rows[:, TICK] * TICK_NS * 1e-9 + rows[:, OFFSET]
     found = []
     for output, kind, place in _OUTPUTS:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from tilth.estimator.calibration.receivers import rows
-from tilth.estimator.calibration.stage_words import PARK_S, StageProgress, happening, next_step, progress
+from tilth.estimator.calibration.stage_words import STAGE, StageProgress, happening, next_step, progress
 from tilth.estimator.calibration.stages import TICK_S, StageFold
 from tilth.estimator.calibration.verdict import IDENTIFIED, NOT_IDENTIFIABLE
 from tilth.estimator.rig.numbers import NUMBER, RigNumber
@@ -49,7 +49,7 @@ class ParkedSenders:
 
     def lines(self, fold: StageFold) -> list[str]:
         """One for each receiver; none before it is parked."""
-        parked = int(fold.tally.parked * TICK_S / PARK_S)
+        parked = int(fold.tally.parked * TICK_S / STAGE.park_s)
         if parked > self._parked:
             self._parked = parked
             self._lines = [f"{row.words}." for row in rows(fold.senders, self._machine, {})]

@@ -1,5 +1,6 @@
 """Which receiver stands where: two on one rigid body keep their distance, the tractor goes ahead."""
 
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Final, NamedTuple
 
@@ -8,15 +9,27 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration.drive import MOUNTS, DriveGrid
 from tilth.estimator.calibration.least_squares import solve
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-MOVING: Final = 0.8  # m/s
+
+@dataclass(frozen=True, slots=True)
+class AssignmentTuning:
+    """Which receivers are on one body."""
+
+    moving: float = tuned(0.8, "m/s", "from here on distances tell")
+    clearly: float = tuned(1.7, "1", "times less rigid than the best another pairing must be")
+    fewest: int = tuned(100, "instants", "20 s")
+    distance_sd: Array = tuned(
+        np.array([30.0, 0.5]), "m, s", "priors of the distance and the difference of latency of two receivers"
+    )
+
+
+ASSIGNMENT: Final = AssignmentTuning()
+
 PAIRINGS: Final = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
-CLEARLY: Final = 1.7  # times less rigid than the best pairing is another one, or nothing is concluded
-FEWEST: Final = 100  # instants: 20 s
-DISTANCE_SD: Final = np.array([30.0, 0.5])  # m, and s of latency between two receivers
 
 
 class MotionAssignment(NamedTuple):
@@ -30,8 +43,8 @@ class MotionAssignment(NamedTuple):
 def assign(drive: DriveGrid, machine: Machine) -> MotionAssignment:
     """By distances and by who goes ahead."""
     same = (0, 1, 2, 3)
-    moving = drive.complete & (_speed(drive) > MOVING)
-    if np.count_nonzero(moving) < FEWEST:
+    moving = drive.complete & (_speed(drive) > ASSIGNMENT.moving)
+    if np.count_nonzero(moving) < ASSIGNMENT.fewest:
         return MotionAssignment(
             same, False, "the four receivers were hardly heard together while the rig moved"
         )
@@ -40,7 +53,7 @@ def assign(drive: DriveGrid, machine: Machine) -> MotionAssignment:
     totals = [float(np.hypot(spread[a], spread[b])) for a, b in PAIRINGS]
     best = int(np.argmin(totals))
     others = [total for k, total in enumerate(totals) if k != best]
-    if min(others) < CLEARLY * totals[best]:
+    if min(others) < ASSIGNMENT.clearly * totals[best]:
         return MotionAssignment(
             same, False, "without turns nobody can tell which two receivers are on one body"
         )
@@ -64,7 +77,7 @@ def _spread(at: Array, velocity: Array, pair: tuple[int, int]) -> float:
     distance = np.hypot(apart[:, 0], apart[:, 1])
     closing = (apart * velocity[:, list(pair)].mean(axis=1)).sum(axis=1) / np.maximum(distance, 1e-3)
     design = np.column_stack([np.ones(len(distance)), closing])
-    found = solve(design, distance, DISTANCE_SD, 0.003)
+    found = solve(design, distance, ASSIGNMENT.distance_sd, 0.003)
     left = distance - design @ found.value
     return float(np.sqrt(np.mean(np.minimum(left**2, (5.0 * found.sd) ** 2 + 1.0))))
 

@@ -42,6 +42,7 @@ from tilth.estimator.calibration.roll import Rolls, rolls
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, MASSES, NAMES, SHAPE
 from tilth.estimator.rig.numbers import NUMBER
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Measurement
 from tilth.schemas.limits import LIMITS
 from tilth.schemas.machine import Machine
@@ -51,11 +52,23 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]  # what is done, share of all
 
 AS_STATED: Final = (None,) * 4  # roll_corrected of each receiver is what the file says
-LOOKS: Final = 3  # rounds of the first look
-MOST_FITS: Final = 3  # each about the file that the one before gives
-STEPS: Final = ((6, 0), (3, joint.MOST_STEPS), (0, joint.MOST_STEPS))
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationTuning:
+    """How a drive is fitted."""
+
+    looks: int = tuned(3, "rounds", "of the initial guess")
+    most_fits: int = tuned(3, "fits", "each about the file that the one before gives")
+    stands: float = tuned(0.5, "sd", "a fit that moves no number further ends it")
+    roll_floor: float = tuned(math.radians(0.05), "rad", "sd of zeros of roll: bench/calibration.py")
+    lateral_offset_floor: float = tuned(0.004, "m", "sd of lateral offsets that such zeros leave")
+
+
+CALIBRATION: Final = CalibrationTuning()
+
+STEPS: Final = ((6, 0), (3, joint.JOINT.most_steps), (0, joint.JOINT.most_steps))
 """At most, of each fit: with noise levels, and with these held."""
-STANDS: Final = 0.5  # sds: a fit that moves no number further ends it
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +101,9 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     view, found_rolls, followed = looked.view, looked.rolls, looked.followed
     check_records(followed, faults)
     fit: JointFit | None = None
-    for k in range(MOST_FITS):
+    for k in range(CALIBRATION.most_fits):
         now = applied(machine, changes)
-        mean, sd = priors.wide(now, np.maximum(found_rolls.sd, ROLL_FLOOR))
+        mean, sd = priors.wide(now, np.maximum(found_rolls.sd, CALIBRATION.roll_floor))
         moved = _moved(machine, changes)
         mean, sd = _centred(now, mean, sd, moved)
         start = mean.copy() if fit is None else _from(fit, mean)
@@ -100,7 +113,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
         changes = _taken(machine, changes, fit)
         changes = _by_the_hitch(machine, drive, changes, found_rolls)
         size = _largest(fit)
-        if k == MOST_FITS - 1 or (k > 0 and size < STANDS):
+        if k == CALIBRATION.most_fits - 1 or (k > 0 and size < CALIBRATION.stands):
             break
         followed = follow(applied(machine, changes), measurements, changes)
     assert fit is not None
@@ -111,7 +124,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     gap = initial_guess.hitch(after)
     return Calibration(
         changes, applied(machine, changes), tuple(faults), found_rolls,
-        np.maximum(found_rolls.sd, ROLL_FLOOR), _lateral_offset_sd(gap.sds[1], fit, machine),
+        np.maximum(found_rolls.sd, CALIBRATION.roll_floor), _lateral_offset_sd(gap.sds[1], fit, machine),
         (float(gap.sds[0]), float(gap.sds[2])), _late_sd(placed, after, gap), _speed(after), fit,
         _moved(machine, changes), initial_guess.coverage(view), fit.seconds, followed.refused, gap.sd,
         looked.curve_sd,
@@ -195,8 +208,6 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
 
 
 SOUGHT: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
-ROLL_FLOOR: Final = math.radians(0.05)  # rad: by bench/calibration.py, of bodies that lean
-LATERAL_OFFSET_FLOOR: Final = 0.004
 
 
 def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
@@ -231,15 +242,16 @@ def _initial_guess(
     placed = _placed(drive, changes)
     view = _view(applied(machine, changes), placed, changes, None)
     if (
-        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > initial_guess.MOVING)) * drives.STEP_S
-        < initial_guess.LEAST_DRIVEN_S
+        np.count_nonzero(view.known & (np.abs(view.along[:, 0]) > initial_guess.INITIAL_GUESS.moving))
+        * drives.DRIVE.step_s
+        < initial_guess.INITIAL_GUESS.least_driven_s
     ):
         raise CannotCalibrate(
             "the four receivers were heard together for less than a minute of driving; drive what "
             "docs/calibrate.md lists, with RTK"
         )
     changes = replace(changes, delay=initial_guess.latency_differences(placed, view)[0])
-    for _ in range(LOOKS - 1):
+    for _ in range(CALIBRATION.looks - 1):
         view = _view(applied(machine, changes), placed, changes, None)
         changes = _between_bodies(changes, initial_guess.hitch(view))
     view = _view(applied(machine, changes), placed, changes, None)
@@ -286,7 +298,7 @@ def _with_linkage(
 
 def _between_bodies(changes: Changes, seen: Solved) -> Changes:
     """seen: as initial_guess.hitch gives it."""
-    delay = float(seen.value[4]) if seen.sds[4] < initial_guess.IDENTIFIED_DELAY_SD else 0.0
+    delay = float(seen.value[4]) if seen.sds[4] < initial_guess.INITIAL_GUESS.identified_delay_sd else 0.0
     return replace(changes, delay=changes.delay + delay * np.array([-0.5, -0.5, 0.5, 0.5]))
 
 
@@ -396,7 +408,12 @@ def _late_sd(placed: DriveGrid, view: Pairs, gap: Solved) -> Array:
     between = float(gap.sds[4])
     pairs = initial_guess.latency_differences(placed, view)[1]
     return np.array(
-        [*pairs, between if between < initial_guess.IDENTIFIED_DELAY_SD else initial_guess.DELAY_SD]
+        [
+            *pairs,
+            between
+            if between < initial_guess.INITIAL_GUESS.identified_delay_sd
+            else initial_guess.INITIAL_GUESS.delay_sd,
+        ]
     )
 
 
@@ -407,7 +424,7 @@ def _speed(view: Pairs) -> float:
 def _lateral_offset_sd(seen_sd: float, fit: JointFit, machine: Machine) -> float:
     turned = math.sqrt(float(fit.covariance[AT["pair_t"], AT["pair_t"]]))
     reach = machine.tractor.c.value + abs(_middles(machine)[0, 0])
-    return math.hypot(seen_sd, turned * reach, LATERAL_OFFSET_FLOOR)
+    return math.hypot(seen_sd, turned * reach, CALIBRATION.lateral_offset_floor)
 
 
 assert NAMES[SHAPE] == NAMES[AT["a"] : AT["I_i"] + 1]

@@ -12,6 +12,7 @@ from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.rig.adjustments import SHORTEST_LATENCY_S, Amount, updated
 from tilth.estimator.rig.numbers import BODIES as BODIES
 from tilth.estimator.rig.numbers import changed
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Measurement, WheelAngle
 from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.wheel_angle import ackermann_of, linkage_angle, linkage_reading
@@ -21,7 +22,16 @@ Array = NDArray[np.float64]
 BODY: Final = (0, 0, 1, 1)  # of each mount
 LATENCIES: Final = tuple(f"latency_{mount.value}" for mount in MOUNTS)
 ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in MOUNTS)
-KINGPIN_DISTANCE_M: Final = 1.7  # where the file has none; a kingpin needs it
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeTuning:
+    """What is assumed where the file has nothing."""
+
+    kingpin_distance: float = tuned(1.7, "m", "where the file has none; a kingpin needs it")
+
+
+CHANGES: Final = ChangeTuning()
 
 
 class Linkage(NamedTuple):
@@ -50,7 +60,7 @@ def linkage_of(machine: Machine, kingpin: str | None = None) -> Linkage:
 def _kingpin_keys(machine: Machine, kingpin: str) -> dict[str, Any]:
     if kingpin == "mean" or machine.tractor.kingpin_distance is not None:
         return {}
-    return {"kingpin_distance": KINGPIN_DISTANCE_M}
+    return {"kingpin_distance": CHANGES.kingpin_distance}
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.pose.geometry import to_plane
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -30,10 +31,19 @@ Array = NDArray[np.float64]
 Rows = list[tuple[float, ...]]
 
 MOUNTS: Final = tuple(Mount)
-STEP_S: Final = 0.2  # of the grid
-LONGEST_GAP_S: Final = 1.1  # that is interpolated
-SILENT_S: Final = 2.0  # of the better of a receiver's two messages of positions, after which the other counts
-MEAN_S: Final = 0.2  # over which wheel angle, turn rates, rolls and pitches are averaged
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTuning:
+    """The grid on which a drive is looked at."""
+
+    step_s: float = tuned(0.2, "s", "of the grid")
+    longest_gap_s: float = tuned(1.1, "s", "longest gap to interpolate")
+    silent_s: float = tuned(2.0, "s", "silence of the better of two positions until the other counts")
+    mean_s: float = tuned(0.2, "s", "over which wheel angle, turn rates, rolls and pitches are averaged")
+
+
+DRIVE: Final = DriveTuning()
 
 
 @dataclass(slots=True)
@@ -85,7 +95,7 @@ def take(heard: MeasuredLists, measurement: Measurement) -> None:
 
 def _take_position(heard: MeasuredLists, k: int, t: float, position: Position) -> None:
     known, rows = heard.position_pgns[k], heard.positions[k]
-    if position.repeat or (known and position.pgn > known and t - rows[-1][0] < SILENT_S):
+    if position.repeat or (known and position.pgn > known and t - rows[-1][0] < DRIVE.silent_s):
         return  # a receiver may send each position in two messages
     heard.position_pgns[k] = position.pgn
     here = (position.latitude_deg, position.longitude_deg)
@@ -96,7 +106,7 @@ def _take_position(heard: MeasuredLists, k: int, t: float, position: Position) -
 
 @dataclass(frozen=True, slots=True)
 class DriveGrid:
-    """n instants, STEP_S apart; receivers in the order of flow.Mount."""
+    """n instants, `step_s` apart; receivers in the order of flow.Mount."""
 
     t: Array  # s, (n,)
     at: Array  # m north and east, (n, 4, 2)
@@ -118,8 +128,8 @@ def drive_of(heard: MeasuredLists, machine: Machine) -> DriveGrid:
     by_mount = {r.mount: r for r in machine.receiver}
     starts = [rows[0][0] for rows in heard.positions if rows]
     ends = [rows[-1][0] for rows in heard.positions if rows]
-    n = int((max(ends) - min(starts)) / STEP_S) if starts else 0
-    t: Array = (min(starts) if starts else 0.0) + STEP_S * np.arange(max(n, 0), dtype=np.float64)
+    n = int((max(ends) - min(starts)) / DRIVE.step_s) if starts else 0
+    t: Array = (min(starts) if starts else 0.0) + DRIVE.step_s * np.arange(max(n, 0), dtype=np.float64)
     shape = (len(t), len(MOUNTS))
     at, velocity = np.full((*shape, 2), np.nan), np.full((*shape, 2), np.nan)
     yaw_rate, roll, pitch = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
@@ -147,7 +157,9 @@ def _columns(rows: Sequence[tuple[float, ...]]) -> Array:
 def _gaps(times: Array, at: Array) -> NDArray[np.bool_]:
     """(n,): outside of the times, or in a gap of them."""
     after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    return np.asarray((times[after] - times[after - 1] > LONGEST_GAP_S) | (at < times[0]) | (at > times[-1]))
+    return np.asarray(
+        (times[after] - times[after - 1] > DRIVE.longest_gap_s) | (at < times[0]) | (at > times[-1])
+    )
 
 
 def _between(rows: Rows, column: int, at: Array) -> Array:
@@ -159,12 +171,12 @@ def _between(rows: Rows, column: int, at: Array) -> Array:
 
 
 def _mean(rows: Rows, at: Array) -> Array:
-    """Means over MEAN_S, of what is linear between rows."""
+    """Means over `mean_s`, of what is linear between rows."""
     if len(rows) < 2:
         return np.full(len(at), np.nan)
     table = _columns(rows)
     times, values = table[:, 0], table[:, 1]
     steps = np.diff(times) * (values[1:] + values[:-1]) / 2
     integral = np.concatenate([[0.0], np.cumsum(steps)])
-    ends = [np.interp(at + side * MEAN_S / 2, times, integral) for side in (-1.0, 1.0)]
-    return np.where(_gaps(times, at), np.nan, (ends[1] - ends[0]) / MEAN_S)
+    ends = [np.interp(at + side * DRIVE.mean_s / 2, times, integral) for side in (-1.0, 1.0)]
+    return np.where(_gaps(times, at), np.nan, (ends[1] - ends[0]) / DRIVE.mean_s)

@@ -10,6 +10,7 @@ from tilth.estimator.calibration.changes import BODIES, BODY, Changes
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.initial_guess import Pairs
 from tilth.estimator.calibration.least_squares import Solved
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Flag, FlagKind
 
 Array = NDArray[np.float64]
@@ -18,10 +19,19 @@ REVERSED, SWAPPED = "reversed_pair", "swapped"
 WHEEL_SIGN, WHEEL_SCALE, WHEEL_UNREAD = "wheel_sign", "wheel_scale", "wheel_unread"
 YAW_SIGN, ROLL_SIGN, ROLL_CORRECTED = "yaw_rate_sign", "roll_sign", "roll_corrected"
 SMOOTHED: Final = "smoothed_yaw_rate"
-GROSS_GAIN: Final = 1.35  # scales beyond this are no error of a linkage but of the description
-TURNING: Final = 0.03  # rad/s, sd of a body's turn rate: enough to compare signs
-EXPLAINED: Final = 0.9  # of the wheel angle's variance: less is no wheel angle
-SHARE: Final = 0.5  # of the turn rate: less than minus this says that the sign is wrong
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTuning:
+    """What no error of a linkage is, but of the description."""
+
+    gross_gain: float = tuned(1.35, "1", "scales beyond this, or below its inverse, are of the description")
+    turning: float = tuned(0.03, "rad/s", "sd of a body's turn rate: enough to compare signs")
+    explained: float = tuned(0.9, "1", "of the wheel angle's variance: less is no wheel angle")
+    share: float = tuned(0.5, "1", "of the turn rate: less than minus this says that the sign is wrong")
+
+
+FAULTS: Final = FaultTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +73,10 @@ def yaw_rate_signs(view: Pairs) -> tuple[tuple[int, ...], list[RigFault]]:
     for k, body in enumerate(BODY):
         rows = np.isfinite(view.gyro[:, k]) & np.isfinite(view.rate[:, body]) & view.known
         rate = view.rate[rows, body]
-        if np.count_nonzero(rows) < 100 or np.std(rate) < TURNING:
+        if np.count_nonzero(rows) < 100 or np.std(rate) < FAULTS.turning:
             continue
         slope = float(rate @ view.gyro[rows, k] / (rate @ rate))
-        if slope < -SHARE:
+        if slope < -FAULTS.share:
             signs[k] = -1
             text = f"the turn rate of {MOUNTS[k]} has the wrong sign; yaw_rate_sign is turned in the file"
             found.append(RigFault(YAW_SIGN, MOUNTS[k].value, text))
@@ -88,7 +98,7 @@ def roll_sign_faults(signs: tuple[int, ...]) -> list[RigFault]:
 def wheel_faults(found: Solved, explained: float) -> list[RigFault]:
     """Of initial_guess.wheel and initial_guess.explained."""
     gain = float(found.value[1])
-    if explained < EXPLAINED:
+    if explained < FAULTS.explained:
         text = (
             "the wheel angle does not go with the way that is driven: another message, byte order, start "
             "byte or signedness is right ([wheel_angle])"
@@ -98,7 +108,7 @@ def wheel_faults(found: Solved, explained: float) -> list[RigFault]:
     if gain < 0.0:
         text = "the wheel angle has the wrong sign; wheel_angle.sign is turned in the file"
         faults.append(RigFault(WHEEL_SIGN, "wheel_angle.sign", text))
-    if not 1 / GROSS_GAIN < abs(gain) < GROSS_GAIN:
+    if not 1 / FAULTS.gross_gain < abs(gain) < FAULTS.gross_gain:
         text = f"the wheel angle reads {abs(gain):.3g} times the true one; scale is changed in the file"
         faults.append(RigFault(WHEEL_SCALE, "wheel_angle.scale", text))
     return faults

@@ -12,41 +12,49 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.calibration.drive import MOUNTS, STEP_S, DriveGrid
+from tilth.estimator.calibration.drive import DRIVE, MOUNTS, DriveGrid
 from tilth.estimator.calibration.least_squares import Solved, solve
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.rig.geometry import length, rotate, rotation
-from tilth.estimator.rig.residuals import (
-    CRUISE,
-    gap_by_place,
-    pair_of,
-    path_angle,
-    sideways_slopes,
-    wheel_slopes,
-)
+from tilth.estimator.rig.residuals import gap_by_place, pair_of, path_angle, sideways_slopes, wheel_slopes
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STRAIGHT: Final = 0.012  # rad/s
-FOLDED: Final = math.radians(20.0)  # articulation: less hardly tells hitch and drawbar apart
-WEAVING: Final = 0.05  # rad/s: more than corrections along a row
-MOVING: Final = 0.8  # m/s
-LEAST_DRIVEN_S: Final = 60.0  # of moving: less tells nothing
-SLOW: Final = 2.6  # m/s: below, slip is small
-HARDLY: Final = 0.5  # sd of the wheel angle in slow driving over that in all of it: less is mostly noise
-JUMPS: Final = math.radians(0.1)  # of the wheels between instants; 0.01 degrees are usual, 0.5 by wrong bytes
-SMOOTH: Final = 5  # instants: 1 s, over which headings are differentiated
-NOISE_M: Final = 0.01  # of a position
-LAGS: Final = range(4)  # instants by which the tractor may turn after its wheels
-WHEEL_DELAY_S: Final = np.arange(-0.25, 0.2501, 0.01)  # that are tried
-RELAXATIONS_M: Final = (0.0, 0.3, 0.7, 1.1, 1.6)  # that are tried with each, of the yaw rate behind the wheel
-USUAL: Final = ((0.0, 0.1), (0.8, 0.4))  # s and m, with their sds, of both: they look much alike
-UNUSUAL: Final = 0.03  # share by which one sd from what is usual makes a fit worse
-SLOW_M, SLOW_S = 0.01, 60.0  # errors of positions that last: how large, how long
-IDENTIFIED_DELAY_SD: Final = 0.01  # s: sd of how much later one is than another, from which on it is used
-DELAY_SD: Final = 0.05  # s, of the same where a drive does not tell it
-HITCH_BLOCK: Final = 400  # rows that may err together: 40 s of two coordinates
+
+@dataclass(frozen=True, slots=True)
+class InitialGuessTuning:
+    """What the first look at a drive takes for straight, slow or turned, and what it tries."""
+
+    straight: float = tuned(0.012, "rad/s", "turn rates of straight driving")
+    folded: float = tuned(math.radians(20.0), "rad", "of the hitch: less hardly tells it from the drawbar")
+    weaving: float = tuned(0.05, "rad/s", "more than corrections along a row")
+    moving: float = tuned(0.8, "m/s", "from here on paths tell of a drive")
+    least_driven_s: float = tuned(60.0, "s", "of moving: less tells nothing")
+    slow: float = tuned(2.6, "m/s", "below, slip is small")
+    hardly: float = tuned(0.5, "1", "sd of the wheels in slow driving over all of it: less is mostly noise")
+    jumps: float = tuned(math.radians(0.1), "rad", "between instants; 0.01° is usual, 0.5° by wrong bytes")
+    smooth: int = tuned(5, "instants", "1 s, over which headings are differentiated")
+    noise_m: float = tuned(0.01, "m", "of a position")
+    lags: tuple[int, ...] = tuned((0, 1, 2, 3), "instants", "by which the tractor may turn after its wheels")
+    wheel_delay_s: Array = tuned(np.arange(-0.25, 0.2501, 0.01), "s", "delays of the wheels that are tried")
+    relaxations_m: tuple[float, ...] = tuned(
+        (0.0, 0.3, 0.7, 1.1, 1.6), "m", "tried, of the yaw rate behind the wheel"
+    )
+    usual: tuple[tuple[float, float], tuple[float, float]] = tuned(
+        ((0.0, 0.1), (0.8, 0.4)), "s, m", "delay and relaxation with their sds: they look much alike"
+    )
+    unusual: float = tuned(0.03, "1", "share by which one sd from what is usual makes a fit worse")
+    slow_m: float = tuned(0.01, "m", "size of errors of positions that last")
+    slow_s: float = tuned(60.0, "s", "how long they last")
+    identified_delay_sd: float = tuned(0.01, "s", "sd of the delay between two, from which on it is used")
+    delay_sd: float = tuned(0.05, "s", "of the same where a drive does not tell it")
+    hitch_block: int = tuned(400, "rows", "that may err together: 40 s of two coordinates")
+
+
+INITIAL_GUESS: Final = InitialGuessTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +121,12 @@ def _later(drive: DriveGrid, delay: Array) -> Array:
 
 
 def _rate(heading: Array) -> Array:
-    """Slope of a line through SMOOTH instants, not a number where one of them is none."""
-    half = SMOOTH // 2
-    weights = np.arange(-half, half + 1) / (STEP_S * np.sum(np.arange(-half, half + 1) ** 2.0))
+    """Slope of a line through `smooth` instants, not a number where one of them is none."""
+    half = INITIAL_GUESS.smooth // 2
+    weights = np.arange(-half, half + 1) / (DRIVE.step_s * np.sum(np.arange(-half, half + 1) ** 2.0))
     found = np.full(heading.shape, np.nan)
     if len(heading) > 2 * half:
-        windows = np.lib.stride_tricks.sliding_window_view(heading, SMOOTH, axis=0)
+        windows = np.lib.stride_tricks.sliding_window_view(heading, INITIAL_GUESS.smooth, axis=0)
         found[half:-half] = windows @ weights
     return found
 
@@ -127,16 +135,19 @@ def latency_differences(drive: DriveGrid, view: Pairs) -> tuple[Array, Array]:
     """By how much each receiver is later than the mean of its body's, s, (4,), and the sds of how much later
     one of a pair is than the other, s, (2,): so much longer is the pair the faster it drives. In turns, too:
     along a body all points are equally fast, but for what stands aside. What is not told is 0."""
-    delay, sds = np.zeros(4), np.full(2, DELAY_SD)
+    delay, sds = np.zeros(4), np.full(2, INITIAL_GUESS.delay_sd)
     for body, (front, rear) in enumerate(((0, 1), (2, 3))):
         rows = view.known & np.isfinite(drive.at[:, [front, rear]]).all((1, 2))
         u = view.along[rows, body]
         north, east = (drive.at[rows, front] - drive.at[rows, rear]).T
         found = solve(
-            np.column_stack([np.ones(len(u)), -u]), length((north, east)), np.array([30.0, 0.15]), NOISE_M
+            np.column_stack([np.ones(len(u)), -u]),
+            length((north, east)),
+            np.array([30.0, 0.15]),
+            INITIAL_GUESS.noise_m,
         )
         sd = math.hypot(float(found.sds[1]), _slow_error(u))
-        if sd < IDENTIFIED_DELAY_SD:
+        if sd < INITIAL_GUESS.identified_delay_sd:
             delay[front], delay[rear], sds[body] = found.value[1] / 2, -found.value[1] / 2, sd
     return delay, sds
 
@@ -145,7 +156,11 @@ def _slow_error(u: Array) -> float:
     """Sd, s, of what is late by positions at speeds u, m/s, (n,), from errors of positions that last. At one
     speed they are all that there is: what is late moves a receiver by one distance."""
     spread = float(np.std(u)) if len(u) else 0.0
-    return SLOW_M / max(spread, 1e-6) / math.sqrt(max(len(u) * STEP_S / SLOW_S, 1.0))
+    return (
+        INITIAL_GUESS.slow_m
+        / max(spread, 1e-6)
+        / math.sqrt(max(len(u) * DRIVE.step_s / INITIAL_GUESS.slow_s, 1.0))
+    )
 
 
 def hitch(view: Pairs) -> Solved:
@@ -158,7 +173,13 @@ def hitch(view: Pairs) -> Solved:
     by_place = gap_by_place(psi[:, 0], psi[:, 1])
     delay = u[:, None] * by_place[:, :, 2]  # so far behind are the implement's points
     design = np.concatenate([by_place, delay[:, :, None]], axis=2).reshape(-1, 5)
-    found = solve(design, apart.reshape(-1), np.array([6.0, 1.0, 10.0, 1.0, 0.15]), NOISE_M, HITCH_BLOCK)
+    found = solve(
+        design,
+        apart.reshape(-1),
+        np.array([6.0, 1.0, 10.0, 1.0, 0.15]),
+        INITIAL_GUESS.noise_m,
+        INITIAL_GUESS.hitch_block,
+    )
     further = np.diag([0.0, 0.0, 0.0, 0.0, _slow_error(u) ** 2])
     return found._replace(covariance=found.covariance + further)
 
@@ -166,7 +187,7 @@ def hitch(view: Pairs) -> Solved:
 def crab(view: Pairs, body: int) -> Solved:
     """(heading by the pair less direction of travel, rad; m that the middle is ahead of the axle; slip; what
     gravity does along a plane's two slopes): (5,)."""
-    rows = view.known & (view.along[:, body] > MOVING) & np.isfinite(view.rate[:, body])
+    rows = view.known & (view.along[:, body] > INITIAL_GUESS.moving) & np.isfinite(view.rate[:, body])
     u, r = view.along[rows, body], view.rate[rows, body]
     psi = view.heading[rows, body]
     slopes = sideways_slopes(u, r)
@@ -186,7 +207,9 @@ def wheel(view: Pairs, wheelbase: float, rate: Array) -> Solved:
 
 def _steered(view: Pairs, rate: Array) -> Mask:
     """(n,): where the wheel angle can be compared with the path."""
-    known = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.wheel) & np.isfinite(rate)
+    known = (
+        view.known & (view.along[:, 0] > INITIAL_GUESS.moving) & np.isfinite(view.wheel) & np.isfinite(rate)
+    )
     return np.asarray(known)
 
 
@@ -200,7 +223,7 @@ def wheel_by_the_way(view: Pairs, wheelbase: float, rate: Array) -> tuple[Solved
     """`wheel` and `explained`, with the wheel as much earlier as goes with the way best: weaving quickly, a
     tractor turns up to half a second after its wheels."""
     tried = []
-    for delay in LAGS:
+    for delay in INITIAL_GUESS.lags:
         then = np.concatenate([np.full(delay, np.nan), view.wheel[: len(view.wheel) - delay]])
         earlier = replace(view, wheel=then)
         found = wheel(earlier, wheelbase, rate)
@@ -216,9 +239,9 @@ def explained(view: Pairs, wheelbase: float, rate: Array, found: Solved) -> floa
     angles go with the way by chance.
     """
     rows = _steered(view, rate)
-    slow = rows & (view.along[:, 0] < SLOW)
-    still = np.std(view.wheel[slow]) < HARDLY * np.std(view.wheel[rows]) if slow.any() else True
-    jumps = _jumps(view.wheel[rows]) > JUMPS * abs(float(found.value[1]))
+    slow = rows & (view.along[:, 0] < INITIAL_GUESS.slow)
+    still = np.std(view.wheel[slow]) < INITIAL_GUESS.hardly * np.std(view.wheel[rows]) if slow.any() else True
+    jumps = _jumps(view.wheel[rows]) > INITIAL_GUESS.jumps * abs(float(found.value[1]))
     if np.count_nonzero(slow) > 200 and (jumps or not still):
         rows = slow
     if np.count_nonzero(rows) < 50:
@@ -235,24 +258,32 @@ def _jumps(angle: Array) -> float:
 
 
 def common_latency(view: Pairs, wheelbase: float, found: Solved) -> float:
-    """By how much the yaw rate by positions is later than the wheel says, s: the best of WHEEL_DELAY_S. Tyres
-    that build up their force over a way are tried with it: what is late grows less with speed."""
-    rows = view.known & (view.along[:, 0] > MOVING) & np.isfinite(view.rate[:, 0]) & np.isfinite(view.wheel)
+    """By how much the yaw rate by positions is later than the wheel says, s: the best of `wheel_delay_s`.
+    Tyres that build up their force over a way are tried with it: what is late grows less with speed."""
+    rows = (
+        view.known
+        & (view.along[:, 0] > INITIAL_GUESS.moving)
+        & np.isfinite(view.rate[:, 0])
+        & np.isfinite(view.wheel)
+    )
     if np.count_nonzero(rows) < 50:
         return 0.0
     good = np.isfinite(view.wheel)
     t, u, r = view.t[rows], view.along[rows, 0], view.rate[rows, 0]
     zero, gain, under = found.value
     best = (math.inf, 0.0)
-    for relaxation in RELAXATIONS_M:
-        for delay in WHEEL_DELAY_S:
+    for relaxation in INITIAL_GUESS.relaxations_m:
+        for delay in INITIAL_GUESS.wheel_delay_s:
             then = t - delay - relaxation / u
             angle = (np.interp(then, view.t[good], view.wheel[good]) - zero) / gain
             left = np.tan(angle) * u / (wheelbase + under / gain * u * u) - r
             away = sum(
-                ((x - m) / sd) ** 2 for x, (m, sd) in zip((float(delay), relaxation), USUAL, strict=True)
+                ((x - m) / sd) ** 2
+                for x, (m, sd) in zip((float(delay), relaxation), INITIAL_GUESS.usual, strict=True)
             )
-            size = float(np.mean(np.abs(left[SMOOTH:-SMOOTH]))) * (1.0 + UNUSUAL * away)
+            size = float(np.mean(np.abs(left[INITIAL_GUESS.smooth : -INITIAL_GUESS.smooth]))) * (
+                1.0 + INITIAL_GUESS.unusual * away
+            )
             best = min(best, (size, float(delay)))
     return best[1]
 
@@ -264,21 +295,22 @@ class DrivingCoverage:
     directions: Array = field(default_factory=lambda: np.zeros(8))  # straight driving, by eighths of north
     left: float = 0.0  # turning
     right: float = 0.0
-    folded: float = 0.0  # articulation beyond FOLDED
-    weaved: float = 0.0  # with the wheels turned, faster than SLOW
+    folded: float = 0.0  # articulation beyond `folded`
+    weaved: float = 0.0  # with the wheels turned, faster than `slow`
 
 
 def coverage(view: Pairs) -> DrivingCoverage:
     """Of a drive."""
     known, u = view.known, view.along[:, 0]
     rate = np.nan_to_num(view.rate[:, 0])
-    straight = known & (np.abs(rate) < STRAIGHT) & (u > CRUISE)
+    straight = known & (np.abs(rate) < INITIAL_GUESS.straight) & (u > DRIVING.cruise)
     eighths = np.floor(view.heading[straight, 0] / (2 * np.pi) * 8).astype(np.int64) % 8
-    folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > FOLDED
+    folded = np.abs(np.nan_to_num(view.heading[:, 0] - view.heading[:, 1])) > INITIAL_GUESS.folded
     return DrivingCoverage(
-        np.bincount(eighths, minlength=8).astype(np.float64) * STEP_S,
-        float(np.count_nonzero(known & (rate < -0.05) & (u > MOVING))) * STEP_S,
-        float(np.count_nonzero(known & (rate > 0.05) & (u > MOVING))) * STEP_S,
-        float(np.count_nonzero(known & folded)) * STEP_S,
-        float(np.count_nonzero(known & (np.abs(rate) > WEAVING) & (u > SLOW))) * STEP_S,
+        np.bincount(eighths, minlength=8).astype(np.float64) * DRIVE.step_s,
+        float(np.count_nonzero(known & (rate < -0.05) & (u > INITIAL_GUESS.moving))) * DRIVE.step_s,
+        float(np.count_nonzero(known & (rate > 0.05) & (u > INITIAL_GUESS.moving))) * DRIVE.step_s,
+        float(np.count_nonzero(known & folded)) * DRIVE.step_s,
+        float(np.count_nonzero(known & (np.abs(rate) > INITIAL_GUESS.weaving) & (u > INITIAL_GUESS.slow)))
+        * DRIVE.step_s,
     )

@@ -21,14 +21,23 @@ from tilth.estimator.filters.newton import Rule, minimise
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import NAMES, NOISE, SIX
 from tilth.estimator.record.record import KIND, Record
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, float], None]  # steps done, largest step in sds
 
-MOST_STEPS: Final = 10  # at most, with these held
-SETTLED: Final = 0.15  # sds: a step this small ends a search
-LONGEST: Final = 1.0  # prior sds, of one step
-MOST_DAMPING: Final = 1e6
+
+@dataclass(frozen=True, slots=True)
+class JointTuning:
+    """The search of the joint fit."""
+
+    most_steps: int = tuned(10, "steps", "at most, with noise levels held")
+    settled: float = tuned(0.15, "sd", "a step this small ends a search")
+    longest: float = tuned(1.0, "sd", "of the prior, in one step")
+    most_damping: float = tuned(1e6, "1", "with more, no step helps")
+
+
+JOINT: Final = JointTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +94,7 @@ class _Sum:
 
 def fit(
     records: Sequence[Record], setup: RigSetup, mean: Array, sd: Array, start: Array, told: Sequence[int],
-    progress: Progress = lambda steps, size: None, noise_steps: int = 6, most_steps: int = MOST_STEPS,
+    progress: Progress = lambda steps, size: None, noise_steps: int = 6, most_steps: int = JOINT.most_steps,
 ) -> JointFit:  # fmt: skip
     """mean, sd: [n], the prior; an unknown with no sd stays fixed. start: [n]. told: unknowns that must
     settle. Raises ValueError without records or steps.
@@ -111,9 +120,9 @@ def fit(
         active = searches[0].active
         awaited = np.isin(active, told if held else ())
         problem = _Problem(searches, np.diag(free[active] ** -2.0), about, awaited, progress)
-        rule = Rule(LONGEST * free[active], True, 0.1, 1e-6, most=MOST_DAMPING)
+        rule = Rule(JOINT.longest * free[active], True, 0.1, 1e-6, most=JOINT.most_damping)
         ended = minimise(problem, _Sum(searches, point, None), rule, most)
-        point, settled = ended.at.point, problem.size(ended.sizes) < SETTLED
+        point, settled = ended.at.point, problem.size(ended.sizes) < JOINT.settled
         made = _result(searches, ended.at, point, about, free, ended.steps, settled)
     assert made is not None
     return made
@@ -152,7 +161,7 @@ class _Problem(NamedTuple):
     def settled(self, step: int, before: _Sum, at: _Sum, sizes: Array) -> bool:
         size = self.size(sizes)
         self.progress(step, size)
-        return bool(np.any(self.awaited)) and size < SETTLED
+        return bool(np.any(self.awaited)) and size < JOINT.settled
 
     def size(self, sizes: Array) -> float:
         """Of a step, by what must settle."""

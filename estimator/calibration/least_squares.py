@@ -1,15 +1,26 @@
 """Robust linear least squares with a prior, and its covariance with errors that last for a while."""
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.tuning import tuned
+
 Array = NDArray[np.float64]
 
-ROUNDS: Final = 6
-TUNING: Final = 2.0  # sds beyond which a residual counts less (Huber)
-BLOCK: Final = 100  # rows that may have errors in common: 20 s
+
+@dataclass(frozen=True, slots=True)
+class LeastSquaresTuning:
+    """Robust least squares."""
+
+    rounds: int = tuned(6, "rounds", "of new weights")
+    huber: float = tuned(2.0, "sd", "beyond which a residual counts less (Huber)")
+    block: int = tuned(100, "rows", "that may have errors in common: 20 s")
+
+
+LEAST_SQUARES: Final = LeastSquaresTuning()
 
 
 class Solved(NamedTuple):
@@ -24,7 +35,9 @@ class Solved(NamedTuple):
         return np.asarray(np.sqrt(np.diag(self.covariance)), np.float64)
 
 
-def solve(design: Array, observed: Array, prior_sd: Array, floor: float, block: int = BLOCK) -> Solved:
+def solve(
+    design: Array, observed: Array, prior_sd: Array, floor: float, block: int = LEAST_SQUARES.block
+) -> Solved:
     """design: (n, p); observed: (n,); prior_sd: (p,), about 0. floor: least sd of a residual.
 
     `block` rows that follow each other may err together: the covariance is the sandwich over blocks.
@@ -35,13 +48,13 @@ def solve(design: Array, observed: Array, prior_sd: Array, floor: float, block: 
     value: Array = np.zeros(len(prior_sd))
     weights: Array = np.ones(len(observed))
     sd, left = max(float(np.std(observed)), floor), observed
-    for _ in range(ROUNDS):
+    for _ in range(LEAST_SQUARES.rounds):
         scaled = design.T * (weights / sd**2)
         normal = scaled @ design + information
         value = np.asarray(np.linalg.solve(normal, scaled @ observed), np.float64)
         left = observed - design @ value
         sd = max(1.4826 * float(np.median(np.abs(left))), floor)
-        weights = np.minimum(1.0, TUNING * sd / np.maximum(np.abs(left), 1e-300))
+        weights = np.minimum(1.0, LEAST_SQUARES.huber * sd / np.maximum(np.abs(left), 1e-300))
     scaled = design.T * (weights / sd**2)
     inverse = np.asarray(np.linalg.inv(scaled @ design + information), np.float64)
     scores = (scaled * left).T  # (n, p)

@@ -13,7 +13,6 @@ from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-IDENTIFIABLE: Final = 0.5  # of the prior sd: a larger sd says that the drive tells nothing of a number
 SOUGHT: Final = tuple(number for number in NUMBERS if number.prior_sd)
 """Numbers that a drive can tell."""
 _IN_FIT: Final = {

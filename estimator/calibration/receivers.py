@@ -10,14 +10,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.geometry import to_plane
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Measurement, Mount, Origin, Position, Velocity
 from tilth.schemas.machine import Machine
 
-STANDING: Final = 0.15  # m/s: speeds of a standing receiver are 0.05 at random, each way
-SETTLED_NS: Final = 2_000_000_000  # of standing, after which a body has come to rest
-LONGEST_NS: Final = 2_000_000_000  # between two positions: more is an interruption
-FEWEST: Final = 20  # positions at standstill, or nothing is said of how they jitter
+
+@dataclass(frozen=True, slots=True)
+class StandingReceiverTuning:
+    """What receivers tell while they stand."""
+
+    settled_ns: int = tuned(2_000_000_000, "ns", "of standing, after which a body has come to rest")
+    longest_ns: int = tuned(2_000_000_000, "ns", "between two positions: more is an interruption")
+    fewest: int = tuned(20, "positions", "at standstill, or nothing is said of how they jitter")
+
+
+STANDING_RECEIVER: Final = StandingReceiverTuning()
 
 
 @dataclass(slots=True)
@@ -42,7 +51,9 @@ class HeardReceiver:
     @property
     def jitter(self) -> float | None:
         """m, rms of both axes together; None without a standstill."""
-        return math.sqrt(self.squares / (1.5 * self.count)) if self.count >= FEWEST else None
+        return (
+            math.sqrt(self.squares / (1.5 * self.count)) if self.count >= STANDING_RECEIVER.fewest else None
+        )
 
 
 @dataclass(slots=True)
@@ -67,7 +78,7 @@ def take(heard: HeardReceivers, measurement: Measurement) -> None:
             if _counts(one, measurement):
                 _take_standing(one, to_plane(heard.origin_deg, *here))
         case Velocity(speed=speed) if one is not None:
-            if speed >= STANDING:
+            if speed >= DRIVING.standstill:
                 one.stands_ns = None
             elif one.stands_ns is None:
                 one.stands_ns, one.latest = measurement.rx_ns, ()
@@ -81,12 +92,12 @@ def _counts(one: HeardReceiver, position: Position) -> bool:
         return False
     one.origin, one.pgn = position.origin, position.pgn
     after_ns, one.last_ns = position.rx_ns - one.last_ns, position.rx_ns
-    if not 0 < after_ns <= LONGEST_NS:
+    if not 0 < after_ns <= STANDING_RECEIVER.longest_ns:
         one.stands_ns = None
         return False
     one.intervals += 1
     one.interval_ns += after_ns
-    return one.stands_ns is not None and position.rx_ns - one.stands_ns > SETTLED_NS
+    return one.stands_ns is not None and position.rx_ns - one.stands_ns > STANDING_RECEIVER.settled_ns
 
 
 def _take_standing(one: HeardReceiver, here: tuple[float, float]) -> None:

@@ -10,16 +10,25 @@ from tilth.estimator.pose import aligner, receiver_checks
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Record, Segment, concatenate
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Flag, Measurement, Position
 from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.reasons import Code
 
-LONGEST: Final = 150  # segments of 0.2 s in one record
-SHORTEST: Final = 40
-LOOSE_M: Final = 0.2  # of the survey: a rough file refuses nothing
-LATENCY_SD: Final = 0.001
-"""s: the poses' own search for late receivers is held. It takes a hitch that stands elsewhere for latency,
-and the likelihood would then agree: on 150 s of driving tractor.c came out 6 cm off."""
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRecordTuning:
+    """Records of a calibration drive."""
+
+    longest: int = tuned(150, "segments", "of 0.2 s in one record")
+    shortest: int = tuned(40, "segments", "a shorter record is not fitted")
+    loose_m: float = tuned(0.2, "m", "of the survey: a rough file refuses nothing")
+    latency_sd: float = tuned(0.001, "s", "the poses' own search for receivers with other latencies is held")
+    """It takes a hitch that stands elsewhere for latency, and the likelihood would then agree: on 150 s of
+    driving tractor.c came out 6 cm off."""
+
+
+CALIBRATION_RECORDS: Final = CalibrationRecordTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +46,8 @@ def loosened(machine: Machine) -> Machine:
     receivers = [
         r.model_copy(
             update={
-                "survey_sd": max(r.survey_sd, LOOSE_M),
-                "latency": Quantity(value=r.latency.value, sd=LATENCY_SD),
+                "survey_sd": max(r.survey_sd, CALIBRATION_RECORDS.loose_m),
+                "latency": Quantity(value=r.latency.value, sd=CALIBRATION_RECORDS.latency_sd),
             }
         )
         for r in machine.receiver
@@ -69,13 +78,13 @@ def follow(machine: Machine, measurements: Iterable[Measurement], changes: Chang
 
 
 def _records(segments: Iterable[Segment | None]) -> list[Record]:
-    """Stretches without a gap, cut to LONGEST."""
+    """Stretches without a gap, cut to `longest`."""
     found: list[Record] = []
     stretch: list[Segment] = []
     for segment in (*segments, None):
         sound = segment if segment is not None and not segment.reason else None
-        if stretch and (sound is None or not sound.follows or len(stretch) == LONGEST):
-            if len(stretch) >= SHORTEST:
+        if stretch and (sound is None or not sound.follows or len(stretch) == CALIBRATION_RECORDS.longest):
+            if len(stretch) >= CALIBRATION_RECORDS.shortest:
                 found.append(concatenate(stretch))
             stretch = []
         if sound is not None:

@@ -1,6 +1,7 @@
 """What cannot be calibrated, and the sentence for it."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -13,14 +14,23 @@ from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
 from tilth.estimator.calibration.initial_guess import DrivingCoverage
 from tilth.estimator.calibration.records import FollowedRecords
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import FixType
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import sentence
 
-LEAST_RECORDS_S: Final = 40.0
-LEAST_TURNED_S: Final = 10.0
-OTHER_RIG_M: Final = 1.0  # beyond what two positions by a tape are wrong
+
+@dataclass(frozen=True, slots=True)
+class RefusalTuning:
+    """Which drives tell too little."""
+
+    least_records_s: float = tuned(40.0, "s", "of driving that can be fitted")
+    least_turned_s: float = tuned(10.0, "s", "of it with turned wheels")
+    other_rig_m: float = tuned(1.0, "m", "beyond what two positions by a tape are wrong")
+
+
+REFUSALS: Final = RefusalTuning()
 
 
 class CannotCalibrate(Exception):
@@ -78,7 +88,7 @@ def _fixed_share(fixes: dict[FixType, int]) -> float:
 def check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None:
     """Raises CannotCalibrate."""
     seconds = sum(len(record.ticks) for record in followed.records) * 0.02
-    if seconds >= LEAST_RECORDS_S:
+    if seconds >= REFUSALS.least_records_s:
         return
     said = [fault.text for fault in faults]
     refused = followed.refused
@@ -93,7 +103,7 @@ def check_records(followed: FollowedRecords, faults: Sequence[RigFault]) -> None
 def check_lengths(longer: NDArray[np.float64]) -> None:
     """longer: m, by which receivers of either body are further apart than the file says, (2,)."""
     for body, by in zip(BODIES, longer.tolist(), strict=True):
-        if abs(by) > OTHER_RIG_M:
+        if abs(by) > REFUSALS.other_rig_m:
             how = "further apart" if by > 0.0 else "closer"
             raise CannotCalibrate(
                 f"the {body}'s receivers are {abs(by):.1f} m {how} than in the machine file: it is "
@@ -102,7 +112,7 @@ def check_lengths(longer: NDArray[np.float64]) -> None:
 
 
 def check_turned(coverage: DrivingCoverage) -> None:
-    if coverage.left + coverage.right < LEAST_TURNED_S:
+    if coverage.left + coverage.right < REFUSALS.least_turned_s:
         raise CannotCalibrate(
             "the drive has rows only: without turns nothing is told of wheel, levers, hitch and drawbar; "
             "drive slow circles to both sides"

@@ -10,11 +10,20 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import EAST, HEADING, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
-MORE: Final = 1.5  # times the stated noise, from which on it is said
-FEWEST: Final = 50  # measurements
+
+@dataclass(frozen=True, slots=True)
+class ResidualTuning:
+    """When what is left over is told."""
+
+    more: float = tuned(1.5, "1", "times the stated noise, from which on it is said")
+    fewest: int = tuned(50, "measurements", "or nothing is said")
+
+
+RESIDUALS: Final = ResidualTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +61,7 @@ class KindResiduals:
 
     @property
     def more(self) -> bool:
-        return self.ratio > MORE
+        return self.ratio > RESIDUALS.more
 
     @property
     def words(self) -> str:
@@ -72,7 +81,7 @@ def residuals(squares: Mapping[int, tuple[float, int]], point: Array) -> tuple[K
     for kind in KINDS:
         have = [squares[one] for one in kind.kinds if one in squares]
         count = sum(n for _, n in have)
-        if count >= FEWEST:
+        if count >= RESIDUALS.fewest:
             rms = math.sqrt(sum(size for size, _ in have) / count)
             found.append(KindResiduals(kind, math.exp(float(point[AT[kind.level]])) * rms, count))
     return tuple(found)

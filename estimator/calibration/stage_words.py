@@ -6,21 +6,32 @@ are asked for, but may be driven in any.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from tilth.estimator.calibration.stages import SIDES, TICK_S, StageFold, StageTally, there_and_back
+from tilth.estimator.tuning import tuned
 from tilth.schemas.notices import NoticeCode
 from tilth.schemas.sentences import notice_sentence
 
-PARK_S: Final = 20.0
-STRAIGHT_M: Final = 150.0  # each way
-ROUND: Final = 0.8  # of a circle, to each side at each angle: a driver who drives one round has it
-SWINGS: Final = 6
-WEAVE_S: Final = 45.0  # slowly, and quickly
-LONG_S: Final = 60.0  # of standing without need
-RECENT_TICKS: Final = (
-    25  # 5 s: a driver who goes over to something else for longer is asked for what is missing
-)
+
+@dataclass(frozen=True, slots=True)
+class StageTuning:
+    """When a stage of a calibration drive is complete."""
+
+    park_s: float = tuned(20.0, "s", "of standing")
+    straight_m: float = tuned(150.0, "m", "each way")
+    round: float = tuned(0.8, "1", "of a circle, to each side at each angle: who drives one has it")
+    swings: int = tuned(6, "swings", "of weaving")
+    weave_s: float = tuned(45.0, "s", "slowly, and quickly")
+    long_s: float = tuned(60.0, "s", "of standing without need")
+    recent_ticks: int = tuned(
+        25, "ticks", "5 s: who goes on with something else is asked for what is missing"
+    )
+
+
+STAGE: Final = StageTuning()
+
 ABOUT: Final = ("a little (about 10°)", "half (about 18°)", "far (about 28°)")
 PACES: Final = ("slowly (8 km/h)", "quickly (16 km/h)")
 
@@ -61,19 +72,21 @@ def _whole(left: float) -> int:
 
 def _parked(tally: StageTally) -> HowFar:
     stood = tally.parked * TICK_S
-    left = PARK_S - stood
+    left = STAGE.park_s - stood
     todo = f"Stand still for {_whole(left)} s more, with all receivers on." if left > 0.0 else ""
-    return HowFar(min(stood / PARK_S, 1.0), f"{min(int(stood), PARK_S):.0f} of {PARK_S:.0f} s", todo)
+    return HowFar(
+        min(stood / STAGE.park_s, 1.0), f"{min(int(stood), STAGE.park_s):.0f} of {STAGE.park_s:.0f} s", todo
+    )
 
 
 def _straight(tally: StageTally) -> HowFar:
-    there, back = there_and_back(tally, STRAIGHT_M)
-    share = (min(there, STRAIGHT_M) + min(back, STRAIGHT_M)) / (2 * STRAIGHT_M)
-    done = f"there {there:.0f}, back {back:.0f} of {STRAIGHT_M:.0f} m"
-    if there < STRAIGHT_M:
-        todo = f"Drive straight, {_whole(STRAIGHT_M - there)} m more, at about 10 km/h."
-    elif back < STRAIGHT_M:
-        todo = f"Turn round and drive back on the same line, {_whole(STRAIGHT_M - back)} m more."
+    there, back = there_and_back(tally, STAGE.straight_m)
+    share = (min(there, STAGE.straight_m) + min(back, STAGE.straight_m)) / (2 * STAGE.straight_m)
+    done = f"there {there:.0f}, back {back:.0f} of {STAGE.straight_m:.0f} m"
+    if there < STAGE.straight_m:
+        todo = f"Drive straight, {_whole(STAGE.straight_m - there)} m more, at about 10 km/h."
+    elif back < STAGE.straight_m:
+        todo = f"Turn round and drive back on the same line, {_whole(STAGE.straight_m - back)} m more."
     else:
         todo = ""
     return HowFar(share, done, todo)
@@ -81,7 +94,7 @@ def _straight(tally: StageTally) -> HowFar:
 
 def _circles(tally: StageTally) -> HowFar:
     rounds = tally.rounds
-    share = float(sum(min(one / ROUND, 1.0) for one in rounds.flat) / rounds.size)
+    share = float(sum(min(one / STAGE.round, 1.0) for one in rounds.flat) / rounds.size)
     sides = [
         f"{side} {', '.join(f'{one:.1f}' for one in row)}"
         for side, row in zip(SIDES, rounds.tolist(), strict=True)
@@ -89,7 +102,7 @@ def _circles(tally: StageTally) -> HowFar:
     done = f"rounds (wheels a little, half, far): {'; '.join(sides)}"
     for k, about in enumerate(ABOUT):
         for side, row in zip(SIDES, rounds.tolist(), strict=True):
-            if row[k] < ROUND:
+            if row[k] < STAGE.round:
                 left = max(1.0 - row[k], 0.1)
                 how_much = "one round" if left > 0.9 else f"{left:.1f} of a round more"
                 todo = f"Hold the wheels {about} to the {side} and drive {how_much}, at 5 km/h."
@@ -98,26 +111,27 @@ def _circles(tally: StageTally) -> HowFar:
 
 
 def _folds(tally: StageTally) -> HowFar:
-    done = f"{min(tally.swings, SWINGS)} of {SWINGS} swings from side to side"
-    left = SWINGS - tally.swings
+    done = f"{min(tally.swings, STAGE.swings)} of {STAGE.swings} swings from side to side"
+    left = STAGE.swings - tally.swings
     todo = (
         f"Steer far to the left, then far to the right, some seconds each, at 6 km/h: {left} swings more."
         if left > 0
         else ""
     )
-    return HowFar(min(tally.swings / SWINGS, 1.0), done, todo)
+    return HowFar(min(tally.swings / STAGE.swings, 1.0), done, todo)
 
 
 def _weaving(tally: StageTally) -> HowFar:
     seconds = [one * TICK_S for one in tally.weaved]
-    share = sum(min(one / WEAVE_S, 1.0) for one in seconds) / len(seconds)
-    done = f"slowly {min(seconds[0], WEAVE_S):.0f}, quickly {min(seconds[1], WEAVE_S):.0f} of {WEAVE_S:.0f} s"
+    share = sum(min(one / STAGE.weave_s, 1.0) for one in seconds) / len(seconds)
+    slow, fast = (min(one, STAGE.weave_s) for one in seconds)
+    done = f"slowly {slow:.0f}, quickly {fast:.0f} of {STAGE.weave_s:.0f} s"
     for one, pace in zip(seconds, PACES, strict=True):
-        if one < WEAVE_S:
+        if one < STAGE.weave_s:
             return HowFar(
                 share,
                 done,
-                f"Weave from side to side {pace}, never straight, {_whole(WEAVE_S - one)} s more.",
+                f"Weave from side to side {pace}, never straight, {_whole(STAGE.weave_s - one)} s more.",
             )
     return HowFar(share, done, "")
 
@@ -146,7 +160,7 @@ def progress(state: StageFold) -> tuple[StageProgress, ...]:
 def next_step(state: StageFold, far: Sequence[StageProgress]) -> str:
     """What to drive now: what is being driven, where it is not complete, else the first that is not; "" when
     all are."""
-    recent = state.tick is not None and state.tick - state.lately_tick <= RECENT_TICKS
+    recent = state.tick is not None and state.tick - state.lately_tick <= STAGE.recent_ticks
     for one in far:
         if recent and one.stage.name == state.lately and not one.complete:
             return one.far.todo
@@ -161,7 +175,7 @@ def happening(state: StageFold) -> str:
         remedy = _REMEDIES[state.trouble.code]
         return f"What is driven now does not count; {notice_sentence(state.trouble)}. {remedy}."
     stood = state.stood * TICK_S
-    if stood > LONG_S and state.tally.parked * TICK_S >= PARK_S:
+    if stood > STAGE.long_s and state.tally.parked * TICK_S >= STAGE.park_s:
         return f"Standing for {stood:.0f} s: that tells nothing more. Drive what comes next."
     title = next((stage.title for stage in STAGES if stage.name == state.doing), "")
     if title:

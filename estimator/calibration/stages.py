@@ -16,11 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.calibration import receivers
-from tilth.estimator.calibration.initial_guess import FOLDED, MOVING, SLOW, STRAIGHT
-from tilth.estimator.calibration.receivers import STANDING, HeardReceivers
+from tilth.estimator.calibration.initial_guess import INITIAL_GUESS
+from tilth.estimator.calibration.receivers import HeardReceivers
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.rig.geometry import between, direction, wrap
-from tilth.estimator.rig.residuals import CRUISE, path_angle
+from tilth.estimator.rig.residuals import path_angle
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, Velocity, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
@@ -28,19 +31,30 @@ from tilth.schemas.notices import Notice, NoticeCode, notice
 Array = NDArray[np.float64]
 
 MOUNTS: Final = tuple(Mount)
-TICK_NS: Final = 200_000_000  # one instant of what follows
-TICK_S: Final = TICK_NS * 1e-9
-OLD_TICKS: Final = 6  # a value that is older counts as not heard
-GAP_TICKS: Final = 10  # after this, what was under way is forgotten
-WINDOW: Final = 10  # instants: 2 s, over which courses are compared
-DIRECTIONS: Final = 72  # of straight driving
-ALIKE: Final = 4  # directions to either side that belong to one line: 45 degrees together
+TICK_S: Final = ALIGNMENT.pose_ns * 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class TallyTuning:
+    """What counts for a stage."""
+
+    old_ticks: int = tuned(6, "ticks", "a value that is older counts as not heard")
+    gap_ticks: int = tuned(10, "ticks", "after this, what was under way is forgotten")
+    window: int = tuned(10, "ticks", "2 s, over which courses are compared")
+    directions: int = tuned(72, "directions", "of straight driving")
+    alike: int = tuned(4, "directions", "to either side that belong to one line: 45° together")
+    angles_deg: tuple[float, ...] = tuned((6.0, 14.0, 22.0), "°", "the wheels are turned a little, half, far")
+    steady: float = tuned(math.radians(5.0), "rad", "of the wheels within the window, in a circle")
+    turning: float = tuned(0.03, "rad/s", "a turn to a side, in weaving")
+    weave_ticks: int = tuned(40, "ticks", "the next turn to the other side follows within 8 s")
+    weave_speeds: tuple[float, ...] = tuned(
+        (1.9, 3.3), "m/s", "slowly from the first, quickly from the second"
+    )
+
+
+TALLY: Final = TallyTuning()
+
 SIDES: Final = ("left", "right")
-ANGLES_DEG: Final = (6.0, 14.0, 22.0)  # from here on the wheels are turned a little, half, far
-STEADY: Final = math.radians(5.0)  # by which the wheels of a circle may differ within the window
-TURNING: Final = 0.03  # rad/s: a turn to a side, in weaving
-WEAVE_TICKS: Final = 40  # the next turn to the other side follows within 8 s
-WEAVE_SPEEDS: Final = (1.9, 3.3)  # m/s: slowly from the first on, quickly from the second on
 
 
 @dataclass(slots=True)
@@ -48,8 +62,8 @@ class StageTally:
     """What was driven, in sums."""
 
     parked: int = 0  # instants of TICK_S
-    straight: Array = field(default_factory=lambda: np.zeros(DIRECTIONS))  # m, by course from north
-    rounds: Array = field(default_factory=lambda: np.zeros((2, 3)))  # by SIDES and ANGLES_DEG
+    straight: Array = field(default_factory=lambda: np.zeros(TALLY.directions))  # m, by course from north
+    rounds: Array = field(default_factory=lambda: np.zeros((2, 3)))  # by SIDES and `angles_deg`
     swings: int = 0  # of the implement from one side to the other
     weaved: list[int] = field(default_factory=lambda: [0, 0])  # instants, slowly and quickly
     moving: int = 0  # instants of driving with everything heard
@@ -74,8 +88,8 @@ class StageFold:
     velocities: dict[Mount, tuple[int, float, float]] = field(default_factory=dict)  # m/s north and east
     fixes: dict[Mount, tuple[int, FixType]] = field(default_factory=dict)
     wheel_tick: int | None = None
-    window: deque[SeenNow] = field(default_factory=lambda: deque(maxlen=WINDOW))
-    angles: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))  # rad
+    window: deque[SeenNow] = field(default_factory=lambda: deque(maxlen=TALLY.window))
+    angles: deque[float] = field(default_factory=lambda: deque(maxlen=TALLY.window))  # rad
     folded: int = 0  # the side on which the implement was folded last
     turn: int = 0  # the side of the last turn
     turn_tick: int = 0  # when it followed one to the other side
@@ -103,8 +117,8 @@ def take_all(state: StageFold, measurements: Iterable[Measurement]) -> StageFold
 def take(state: StageFold, measurement: Measurement) -> None:
     """Count what an instant has shown once the next one begins."""
     receivers.take(state.senders, measurement)
-    tick = measurement.rx_ns // TICK_NS
-    if state.tick is None or abs(tick - state.tick) > GAP_TICKS:
+    tick = measurement.rx_ns // ALIGNMENT.pose_ns
+    if state.tick is None or abs(tick - state.tick) > TALLY.gap_ticks:
         _forget(state)
         state.tick = tick
     elif tick > state.tick:
@@ -156,21 +170,21 @@ def _count(state: StageFold) -> None:
 def _count_seen(state: StageFold, now: SeenNow) -> None:
     state.window.append(now)
     speed = math.hypot(*now.velocity)
-    state.stood = state.stood + 1 if speed < STANDING else 0
-    if speed < STANDING:
+    state.stood = state.stood + 1 if speed < DRIVING.standstill else 0
+    if speed < DRIVING.standstill:
         state.tally.parked += 1
         state.doing = "park"
-    if speed < MOVING:
+    if speed < INITIAL_GUESS.moving:
         state.angles.clear()
         return
     state.tally.moving += 1
     _count_swing(state, now)
-    if len(state.window) < WINDOW:
+    if len(state.window) < TALLY.window:
         return
     rate, course = _turning(state.window)
     state.angles.append(path_angle(state.wheelbase, speed, rate))
-    if speed > CRUISE and abs(rate) < STRAIGHT:
-        state.tally.straight[int(course / math.tau * DIRECTIONS) % DIRECTIONS] += speed * TICK_S
+    if speed > DRIVING.cruise and abs(rate) < INITIAL_GUESS.straight:
+        state.tally.straight[int(course / math.tau * TALLY.directions) % TALLY.directions] += speed * TICK_S
         state.doing = "straight"
     _count_circle(state, rate, speed)
     _count_weaving(state, rate, speed)
@@ -191,13 +205,13 @@ def _trouble(state: StageFold) -> Notice | None:
     ]
     if without:
         return notice(NoticeCode.WITHOUT_RTK, mounts=_listed(without))
-    if state.wheel_tick is None or state.tick - state.wheel_tick > OLD_TICKS:
+    if state.wheel_tick is None or state.tick - state.wheel_tick > TALLY.old_ticks:
         return notice(NoticeCode.NO_WHEEL_ANGLE)
     return None
 
 
 def _is_fresh(tick: int, row: tuple[int, float, float] | None) -> bool:
-    return row is not None and tick - row[0] <= OLD_TICKS
+    return row is not None and tick - row[0] <= TALLY.old_ticks
 
 
 def _seen(state: StageFold) -> SeenNow:
@@ -215,7 +229,7 @@ def _seen(state: StageFold) -> SeenNow:
 def _turning(window: Iterable[SeenNow]) -> tuple[float, float]:
     """(rad/s, course in rad) from the mean velocities of both halves of a full window."""
     rows = list(window)
-    half = WINDOW // 2
+    half = TALLY.window // 2
     courses, middles = [], []
     for part in (rows[:half], rows[half:]):
         courses.append(
@@ -227,7 +241,7 @@ def _turning(window: Iterable[SeenNow]) -> tuple[float, float]:
 
 
 def _count_swing(state: StageFold, now: SeenNow) -> None:
-    if abs(now.turned) < FOLDED:
+    if abs(now.turned) < INITIAL_GUESS.folded:
         return
     side = 1 if now.turned > 0 else -1
     if state.folded == -side:
@@ -238,10 +252,10 @@ def _count_swing(state: StageFold, now: SeenNow) -> None:
 
 def _count_circle(state: StageFold, rate: float, speed: float) -> None:
     angles = state.angles
-    if len(angles) < WINDOW or speed > SLOW or max(angles) - min(angles) > STEADY:
+    if len(angles) < TALLY.window or speed > INITIAL_GUESS.slow or max(angles) - min(angles) > TALLY.steady:
         return
-    size = math.degrees(abs(sum(angles) / WINDOW))
-    bands = [k for k, least in enumerate(ANGLES_DEG) if size >= least]
+    size = math.degrees(abs(sum(angles) / TALLY.window))
+    bands = [k for k, least in enumerate(TALLY.angles_deg) if size >= least]
     if bands:
         state.tally.rounds[1 if rate > 0 else 0, bands[-1]] += abs(rate) * TICK_S / math.tau
         state.doing = "circles"
@@ -249,26 +263,26 @@ def _count_circle(state: StageFold, rate: float, speed: float) -> None:
 
 def _count_weaving(state: StageFold, rate: float, speed: float) -> None:
     assert state.tick is not None
-    if abs(rate) > TURNING:
+    if abs(rate) > TALLY.turning:
         side = 1 if rate > 0 else -1
         if state.turn == -side:
             state.turn_tick = state.tick
         elif not state.turn:
-            state.turn_tick = state.tick - WEAVE_TICKS - 1
+            state.turn_tick = state.tick - TALLY.weave_ticks - 1
         state.turn = side
-    weaves = state.turn != 0 and state.tick - state.turn_tick <= WEAVE_TICKS
-    if weaves and speed >= WEAVE_SPEEDS[0]:
-        state.tally.weaved[1 if speed >= WEAVE_SPEEDS[1] else 0] += 1
+    weaves = state.turn != 0 and state.tick - state.turn_tick <= TALLY.weave_ticks
+    if weaves and speed >= TALLY.weave_speeds[0]:
+        state.tally.weaved[1 if speed >= TALLY.weave_speeds[1] else 0] += 1
         state.doing = "weave"
 
 
 def there_and_back(tally: StageTally, wanted: float) -> tuple[float, float]:
     """m driven straight there and back, the longer way first, on the line where most of `wanted` each way is
     driven."""
-    there = np.zeros(DIRECTIONS)
-    for k in range(-ALIKE, ALIKE + 1):
+    there = np.zeros(TALLY.directions)
+    for k in range(-TALLY.alike, TALLY.alike + 1):
         there += np.roll(tally.straight, k)
-    back = np.roll(there, DIRECTIONS // 2)
+    back = np.roll(there, TALLY.directions // 2)
     best = int(np.argmax(np.minimum(there, wanted) + np.minimum(back, wanted)))
     ways = float(there[best]), float(back[best])
     return max(ways), min(ways)

@@ -25,40 +25,52 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from tilth.estimator.tuning import tuned
 from tilth.schemas.spread import WITHIN, plus_minus
 
 Array = NDArray[np.float64]
 
-SILENT_S: Final = 0.5  # without a command, or without a wheel angle: a stretch ends
-MOST_LATE_S: Final = 1.0  # dead time
-MOST_EARLY_S: Final = 0.2  # the same, below zero: noise may put it there
-SHORTEST_S: Final = 4.0  # of a stretch, after MOST_LATE_S
-LEAST_S: Final = 40.0  # of all of them
-BLOCK_S: Final = 8.0  # wheels that take a second remember that long what has gone wrong
-MOVES: Final = math.radians(1.0)  # sd of the commands in a stretch, at least
-APART_S: Final = 0.0195  # between the wheel angles that are used
-BEGINS_S: Final = 0.05  # on either side of the beginning, over which its wheel angle is a mean
-FOLLOWS: Final = 0.7  # share of the wheels' motion that the commands explain, at least
-SLOW_TIMES: Final = (0.05, 0.15, 0.4, 1.0)  # s: where a search begins
-DEAD_TIMES: Final = (0.0, 0.15, 0.3, 0.5)
-SHARES: Final = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)  # of the largest rate without a limit: limits to try
-LIMITED: Final = 12.0  # by so much more likely (twice the logarithm) there is a limit
-LAGS_SEEN: Final = 12  # samples: by these noise that lasts is told from what a limit does
-EXCLUDED: Final = 4.0  # by so much less likely there is none
-TOLD_S: Final = 0.2  # half-width of 95 %, of dead time and time constant
-STAMPED_S: Final = 0.003  # sd of dead time and time constant, at least: a computer's stamps are no better
-AT_ONCE_S: Final = 0.04  # dead time and time constant: no wheels can
-LOW: Final = (-MOST_EARLY_S, 0.01, -10.0, -1.0, 0.005)  # of L, T, g, z, R
-HIGH: Final = (MOST_LATE_S, 5.0, 10.0, 1.0, 10.0)
-RIDGE: Final = 1e-4
+
+@dataclass(frozen=True, slots=True)
+class SteeringResponseTuning:
+    """How the wheels' answer to an automatic steering is found."""
+
+    silent_s: float = tuned(0.5, "s", "without a command, or without a wheel angle: a stretch ends")
+    most_dead_time_s: float = tuned(1.0, "s", "longest dead time")
+    most_early_s: float = tuned(0.2, "s", "the same, below zero: noise may put it there")
+    shortest_s: float = tuned(4.0, "s", "of a stretch, after `most_dead_time_s`")
+    least_s: float = tuned(40.0, "s", "of all stretches")
+    block_s: float = tuned(8.0, "s", "wheels that take a second remember that long what has gone wrong")
+    moves: float = tuned(math.radians(1.0), "rad", "sd of the commands in a stretch, at least")
+    apart_s: float = tuned(0.0195, "s", "between the wheel angles that are used")
+    begins_s: float = tuned(0.05, "s", "on either side of the beginning, whose wheel angle is a mean")
+    follows: float = tuned(0.7, "1", "of the wheels' motion that the commands explain, at least")
+    slow_times: tuple[float, ...] = tuned((0.05, 0.15, 0.4, 1.0), "s", "time constants where a search begins")
+    dead_times: tuple[float, ...] = tuned((0.0, 0.15, 0.3, 0.5), "s", "dead times where a search begins")
+    shares: tuple[float, ...] = tuned(
+        (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4), "1", "of the largest rate without a limit: limits to try"
+    )
+    limited: float = tuned(12.0, "chi^2", "by so much more likely there is a limit")
+    lags_seen: int = tuned(12, "samples", "by these noise that lasts is told from what a limit does")
+    excluded: float = tuned(4.0, "chi^2", "by so much less likely there is none")
+    told_s: float = tuned(0.2, "s", "half-width of 95 %, of dead time and time constant")
+    stamped_s: float = tuned(0.003, "s", "least sd of dead time and time constant: as stamps are")
+    at_once_s: float = tuned(0.04, "s", "dead time and time constant: no wheels can")
+    ridge: float = tuned(1e-4, "1", "keeps the search from a division by zero")
+    steps: tuple[float, ...] = tuned((1e-3, 1e-3, 1e-3, 1e-4, 1e-3), "s, s, 1, rad, rad/s", "of derivatives")
+
+
+STEERING_RESPONSE: Final = SteeringResponseTuning()
+
+LOW: Final = (-STEERING_RESPONSE.most_early_s, 0.01, -10.0, -1.0, 0.005)  # of L, T, g, z, R
+HIGH: Final = (STEERING_RESPONSE.most_dead_time_s, 5.0, 10.0, 1.0, 10.0)
 NO_LIMIT: Final = np.zeros(0)
-STEPS: Final = (1e-3, 1e-3, 1e-3, 1e-4, 1e-3)  # of derivatives
 
 NO_COMMANDS: Final = "No commands of an automatic steering in this log: nothing to tell of the actuator."
 NEVER_STEERED: Final = "The automatic steering never steered in this log: nothing to tell of the actuator."
 TOO_SHORT: Final = (
-    "The automatic steering steered too briefly to tell how the wheels follow it: "
-    f"let it steer for a minute, {SHORTEST_S + MOST_LATE_S:.0f} s or more at a time."
+    "The automatic steering steered too briefly to tell how the wheels follow it: let it steer for a minute, "
+    f"{STEERING_RESPONSE.shortest_s + STEERING_RESPONSE.most_dead_time_s:.0f} s or more at a time."
 )
 TOO_GENTLE: Final = (
     "The automatic steering moved the wheels too little to tell how they follow it: "
@@ -117,9 +129,9 @@ class _Stretch:
 
     order_t: Array  # (m,)
     order: Array  # rad, (m,)
-    t: Array  # (n,), of the wheel angles from MOST_LATE_S on
+    t: Array  # (n,), of the wheel angles from `most_dead_time_s` on
     y: Array  # rad, (n,)
-    y0: float  # at MOST_LATE_S
+    y0: float  # at `most_dead_time_s`
 
 
 def respond(orders: SteeringOrders, wheel_t: Array, wheel: Array, delay: float) -> SteeringResponse | str:
@@ -133,14 +145,14 @@ def respond(orders: SteeringOrders, wheel_t: Array, wheel: Array, delay: float) 
     if not orders.steers.any():
         return NEVER_STEERED
     found = _stretches(orders, wheel_t - delay, wheel)
-    if sum(map(_seconds, found)) < LEAST_S:
+    if sum(map(_seconds, found)) < STEERING_RESPONSE.least_s:
         return TOO_SHORT
-    found = [one for one in found if float(np.std(one.order)) > MOVES]
-    if sum(map(_seconds, found)) < LEAST_S:
+    found = [one for one in found if float(np.std(one.order)) > STEERING_RESPONSE.moves]
+    if sum(map(_seconds, found)) < STEERING_RESPONSE.least_s:
         return TOO_GENTLE
     at = _fitted(found, _start(found))
-    followed = [one for one in found if _explained([one], at) > FOLLOWS]
-    if sum(map(_seconds, followed)) < LEAST_S:
+    followed = [one for one in found if _explained([one], at) > STEERING_RESPONSE.follows]
+    if sum(map(_seconds, followed)) < STEERING_RESPONSE.least_s:
         return NOT_FOLLOWED
     if len(followed) < len(found):
         at = _fitted(followed, at)
@@ -156,9 +168,9 @@ def _told(found: Sequence[_Stretch], free: Array) -> SteeringResponse | str:
     dead_time, slow = float(at[0]), float(at[1])
     if dead_time > 0.99 * HIGH[0] or slow > 0.99 * HIGH[1]:
         return NOT_FOLLOWED
-    if dead_time + 3.0 * float(sds[0]) < 0.0 or dead_time + slow < AT_ONCE_S:
+    if dead_time + 3.0 * float(sds[0]) < 0.0 or dead_time + slow < STEERING_RESPONSE.at_once_s:
         return AFTERWARDS
-    if WITHIN * float(max(sds[0], sds[1])) > TOLD_S:
+    if WITHIN * float(max(sds[0], sds[1])) > STEERING_RESPONSE.told_s:
         return TOO_GENTLE
     if limit is not None:
         rate, rate_sd = float(at[4]), float(sds[4])
@@ -175,7 +187,7 @@ def _told(found: Sequence[_Stretch], free: Array) -> SteeringResponse | str:
 
 def _stretches(orders: SteeringOrders, wheel_t: Array, wheel: Array) -> list[_Stretch]:
     breaks = np.flatnonzero(
-        (np.diff(orders.t) > SILENT_S) | np.diff(orders.steers.astype(np.int8)).astype(bool)
+        (np.diff(orders.t) > STEERING_RESPONSE.silent_s) | np.diff(orders.steers.astype(np.int8)).astype(bool)
     )
     edges = [0, *(breaks + 1).tolist(), len(orders.t)]
     found = list[_Stretch]()
@@ -183,8 +195,8 @@ def _stretches(orders: SteeringOrders, wheel_t: Array, wheel: Array) -> list[_St
         if not orders.steers[first]:
             continue
         t, u = orders.t[first:end], orders.angle[first:end]
-        heard = (wheel_t > t[0]) & (wheel_t < t[-1] + APART_S)
-        gaps = np.flatnonzero(np.diff(wheel_t[heard]) > SILENT_S) + 1
+        heard = (wheel_t > t[0]) & (wheel_t < t[-1] + STEERING_RESPONSE.apart_s)
+        gaps = np.flatnonzero(np.diff(wheel_t[heard]) > STEERING_RESPONSE.silent_s) + 1
         for at, y in zip(np.split(wheel_t[heard], gaps), np.split(wheel[heard], gaps), strict=True):
             found += _stretch(t, u, at, y)
     return found
@@ -194,16 +206,16 @@ def _stretch(t: Array, u: Array, at: Array, y: Array) -> list[_Stretch]:
     """None or one. t, u: commands. at, y: wheel angles, without gaps."""
     if len(at) < 2:
         return []
-    begins = max(float(at[0]) + BEGINS_S, float(t[0]) + MOST_LATE_S)
-    used = (at >= begins) & (at <= float(t[-1]) - MOST_EARLY_S)
+    begins = max(float(at[0]) + STEERING_RESPONSE.begins_s, float(t[0]) + STEERING_RESPONSE.most_dead_time_s)
+    used = (at >= begins) & (at <= float(t[-1]) - STEERING_RESPONSE.most_early_s)
     if np.count_nonzero(used) < 2:
         return []
-    near = np.abs(at - begins) <= BEGINS_S  # of a slow sensor none may be
+    near = np.abs(at - begins) <= STEERING_RESPONSE.begins_s  # of a slow sensor none may be
     y0 = float(np.mean(y[near])) if near.any() else float(np.interp(begins, at, y))
     at_used, y_used = at[used] - begins, y[used]
-    step = max(round(APART_S / max(float(np.median(np.diff(at_used))), 1e-6)), 1)
+    step = max(round(STEERING_RESPONSE.apart_s / max(float(np.median(np.diff(at_used))), 1e-6)), 1)
     one = _Stretch(t - begins, u, at_used[::step], y_used[::step], y0)
-    return [one] if _seconds(one) >= SHORTEST_S else []
+    return [one] if _seconds(one) >= STEERING_RESPONSE.shortest_s else []
 
 
 def _seconds(one: _Stretch) -> float:
@@ -259,8 +271,8 @@ def _start(found: Sequence[_Stretch]) -> Array:
     """L, T, g and z, coarsely."""
     y = np.concatenate([one.y for one in found])
     best, least = np.array([0.1, 0.3, 1.0, 0.0]), math.inf
-    for dead_time in DEAD_TIMES:
-        for slow in SLOW_TIMES:
+    for dead_time in STEERING_RESPONSE.dead_times:
+        for slow in STEERING_RESPONSE.slow_times:
             plain = np.array([dead_time, slow, 1.0, 0.0])
             shape = np.concatenate(
                 [_response(replace(one, y0=float(one.order[0])), plain)[0] for one in found]
@@ -293,7 +305,7 @@ def _fitted(
 
 def _slopes(of: Callable[[Array], Array], at: Array) -> Array:
     """Of a function of L, T, g, z and R, (m,), by them, (m, n), by differences."""
-    steps = np.diag(STEPS[: len(at)])
+    steps = np.diag(STEERING_RESPONSE.steps[: len(at)])
     return np.column_stack([(of(at + step) - of(at - step)) / (2.0 * step.sum()) for step in steps])
 
 
@@ -309,22 +321,22 @@ def _limit(found: Sequence[_Stretch], free: Array) -> tuple[Array | None, float]
     before = _whitened(found, _left(found, white), lasting)
     best, least = white, float(before @ before)
     per = least / len(before)
-    for share in SHARES:
+    for share in STEERING_RESPONSE.shares:
         limit = np.array([share * fastest])
         held = np.append(_fitted(found, white, limit, lasting), limit)
         left = _whitened(found, _left(found, held), lasting)
         if (size := float(left @ left)) < least:
             best, least = held, size
-        if size < float(before @ before) + EXCLUDED * per:
+        if size < float(before @ before) + STEERING_RESPONSE.excluded * per:
             lowest = float(limit[0])
-    if (float(before @ before) - least) * len(before) / least < LIMITED:
+    if (float(before @ before) - least) * len(before) / least < STEERING_RESPONSE.limited:
         return None, lowest
     made = _fitted(found, best)
     return made if float(made[4]) < 0.99 * _fastest(found, made[:4]) else best, lowest
 
 
 def _lasting(found: Sequence[_Stretch], left: Array) -> Array:
-    """Weights, (LAGS_SEEN,), by which what is left goes on in the next sample."""
+    """Weights, (`lags_seen`,), by which what is left goes on in the next sample."""
     rows = np.concatenate([_past(part) for part in _parts(found, left)])
     return np.asarray(np.linalg.lstsq(rows[:, 1:], rows[:, 0], rcond=None)[0], np.float64)
 
@@ -342,15 +354,15 @@ def _parts(found: Sequence[_Stretch], left: Array) -> list[Array]:
 
 
 def _past(part: Array) -> Array:
-    """Each sample and those before it, (n - LAGS_SEEN, LAGS_SEEN + 1)."""
-    return np.lib.stride_tricks.sliding_window_view(part, LAGS_SEEN + 1)[:, ::-1]
+    """Each sample and those before it, (n - `lags_seen`, `lags_seen` + 1)."""
+    return np.lib.stride_tricks.sliding_window_view(part, STEERING_RESPONSE.lags_seen + 1)[:, ::-1]
 
 
 def _blocks(found: Sequence[_Stretch]) -> NDArray[np.int64]:
-    """Where blocks of about BLOCK_S begin, in all samples."""
+    """Where blocks of about `block_s` begin, in all samples."""
     starts, before = list[int](), 0
     for one in found:
-        count = max(int(_seconds(one) / BLOCK_S), 1)
+        count = max(int(_seconds(one) / STEERING_RESPONSE.block_s), 1)
         starts += [before + round(k * len(one.t) / count) for k in range(count)]
         before += len(one.t)
     return np.array(starts, np.int64)
@@ -360,7 +372,7 @@ def _covariance(found: Sequence[_Stretch], at: Array) -> Array:
     """By the jackknife that leaves out one block after the other, linearised, wide enough for few blocks."""
     jacobian, left, starts = _slopes(lambda x: _left(found, x), at), _left(found, at), _blocks(found)
     whole = jacobian.T @ jacobian
-    ridge = np.diag(RIDGE * np.diag(whole))  # where one block alone tells a limit
+    ridge = np.diag(STEERING_RESPONSE.ridge * np.diag(whole))  # where one block alone tells a limit
     moved = np.array([
         np.linalg.solve(whole + ridge - part.T @ part, part.T @ rest)
         for part, rest in zip(np.split(jacobian, starts[1:]), np.split(left, starts[1:]), strict=True)
@@ -368,5 +380,5 @@ def _covariance(found: Sequence[_Stretch], at: Array) -> Array:
     blocks = len(starts)
     few = float(student.ppf(0.975, max(blocks - len(at), 1))) / WITHIN
     stamped = np.zeros((len(at), len(at)))
-    stamped[[0, 1], [0, 1]] = STAMPED_S**2
+    stamped[[0, 1], [0, 1]] = STEERING_RESPONSE.stamped_s**2
     return np.asarray(few**2 * (blocks - 1) / blocks * (moved.T @ moved) + stamped, np.float64)

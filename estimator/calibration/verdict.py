@@ -13,20 +13,31 @@ from scipy.special import chdtrc
 from tilth.estimator.calibration import priors
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.initial_guess import DELAY_SD, DrivingCoverage
+from tilth.estimator.calibration.initial_guess import INITIAL_GUESS, DrivingCoverage
 from tilth.estimator.calibration.joint import Half
 from tilth.estimator.calibration.priors import BY_LIKELIHOOD, SOUGHT
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.rig.numbers import CIRCLE, FOLD, ROW, WEAVE, RigNumber
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
 IDENTIFIED, WEAKLY_IDENTIFIED, NOT_IDENTIFIABLE = "told", "rough", "not told"
-ENOUGH_S: Final = 15.0  # of a way of driving
-ONE_WAY_SD: Final = math.radians(0.2)  # of the yaw of pairs by a slope of 2 degrees that is met one way only
-DISAGREE: Final = 0.01  # p of the halves' difference, of one number
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictTuning:
+    """How well a number must be known."""
+
+    enough_s: float = tuned(15.0, "s", "of a way of driving")
+    one_way_sd: float = tuned(math.radians(0.2), "rad", "of the yaw of pairs by a slope of 2° one way")
+    disagree: float = tuned(0.01, "1", "p of the halves' difference, of one number")
+    identifiable: float = tuned(0.5, "1", "of the prior sd: a larger sd says that the drive tells nothing")
+
+
+VERDICT: Final = VerdictTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +76,7 @@ class RigVerdict:
     @property
     def good(self) -> bool:
         """Whether every number is told as well as wanted, and the halves agree."""
-        return all(one.status == IDENTIFIED for one in self.numbers) and self.p >= DISAGREE
+        return all(one.status == IDENTIFIED for one in self.numbers) and self.p >= VERDICT.disagree
 
 
 def verdict(machine: Machine, found: Calibration) -> RigVerdict:
@@ -110,7 +121,7 @@ def _number_verdict(found: Calibration, number: RigNumber, further: Mapping[str,
         IDENTIFIED
         if sd <= number.wanted_sd
         else WEAKLY_IDENTIFIED
-        if sd <= priors.IDENTIFIABLE * number.prior_sd
+        if sd <= VERDICT.identifiable * number.prior_sd
         else NOT_IDENTIFIABLE
     )
     return NumberVerdict(number, moved, sd, halves, p, status)
@@ -134,14 +145,14 @@ def _not_in_the_fit(found: Calibration) -> dict[str, float]:
         "latency": float(np.linalg.norm(found.delay_sd)) / 2.0,
         "aside_i": 0.5 * found.lateral_offset_sd,  # folded, one body's looks like the other's
     }  # fmt: skip
-    if found.coverage.weaved < ENOUGH_S:
+    if found.coverage.weaved < VERDICT.enough_s:
         others |= {
             number.name: math.hypot(others.get(number.name, 0.0), number.not_weaved_sd)
             for number in SOUGHT
             if number.not_weaved_sd
         }
     if _one_way(found.coverage):
-        others |= {"pair_t": ONE_WAY_SD, "pair_i": ONE_WAY_SD}
+        others |= {"pair_t": VERDICT.one_way_sd, "pair_i": VERDICT.one_way_sd}
     return further | {name: math.hypot(further[name], sd) for name, sd in others.items()}
 
 
@@ -149,7 +160,7 @@ def _one_way(coverage: DrivingCoverage) -> bool:
     """Whether hardly any straight driving has some in nearly the other direction."""
     there = coverage.directions
     back = sum(np.roll(there, 4 + k) for k in (-1, 0, 1))
-    return float(np.minimum(there, back).sum()) < ENOUGH_S
+    return float(np.minimum(there, back).sum()) < VERDICT.enough_s
 
 
 def _difference(halves: tuple[Half, Half], k: int) -> float:
@@ -186,16 +197,16 @@ def soil_cost(
 
 def _not_covered(coverage: DrivingCoverage, delay_sd: Array) -> Iterator[str]:
     """What would have told more, by the ways of driving that are missing."""
-    if min(coverage.left, coverage.right) < ENOUGH_S:
+    if min(coverage.left, coverage.right) < VERDICT.enough_s:
         side = "left" if coverage.left < coverage.right else "right"
         yield f"Hardly a turn to the {side}: zero and scale of the wheel are told less well; {CIRCLE}."
     if _one_way(coverage):
         yield f"Straight driving in one direction only: a slope is taken for yaw of the pairs; {ROW}."
-    if float(delay_sd.max()) >= DELAY_SD:
+    if float(delay_sd.max()) >= INITIAL_GUESS.delay_sd:
         yield f"Nearly one speed all the way: a late receiver looks like one further back; {WEAVE}."
-    if coverage.weaved < ENOUGH_S:
+    if coverage.weaved < VERDICT.enough_s:
         yield f"Turns were sharp and slow: latencies, levers and hitch are told less well; {WEAVE}."
-    if coverage.folded < ENOUGH_S:
+    if coverage.folded < VERDICT.enough_s:
         yield f"The implement hardly folded: hitch and drawbar are not told apart; {FOLD}."
 
 
@@ -205,7 +216,7 @@ def _sentences(numbers: tuple[NumberVerdict, ...], p: float, found: Calibration)
     without = [one.number.words for one in numbers if one.status == NOT_IDENTIFIABLE]
     if without:
         said.append(f"The drive does not tell: {', '.join(without)}. These stay as the file has them.")
-    if p < DISAGREE:
+    if p < VERDICT.disagree:
         said.append(
             "The halves of the drive do not agree: something moved on the way, or the ground is too rough."
         )

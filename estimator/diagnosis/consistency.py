@@ -23,6 +23,7 @@ from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
+from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
@@ -34,26 +35,34 @@ CONTRADICTION: Final = FlagKind.CONTRADICTION
 
 
 @dataclass(frozen=True, slots=True)
-class ConsistencyParameters:
+class ConsistencyTuning:
     """When a file is contradicted, and when it is confirmed. A pose is 0.2 s."""
 
-    begins: float = 22.0  # chi-square of one open number, with all others within what the file allows
-    begins_total: float = 90.0  # chi-square of all open numbers
-    ends: float = 0.4  # factor on these limits for the end of a contradiction
-    poses_to_confirm: int = 40  # in a row without doubt before the file counts as confirmed
-    poses_to_doubt: int = 60  # in a row with doubt before it is not confirmed any more
-    least_poses: int = 5  # in a row before a finding is isolated
-    least_poses_open: int = 40  # the same of the open tracker: for seconds, other soil has the same effect
-    poses_to_end: int = 50  # in a row without a finding before it ends
-    poses_to_forget: int = 25  # what was learned during a longer contradiction is discarded
-    rival_share: float = 0.6  # an explanation with this share of the best one's chi-square is named as well
-    rivals: int = 2  # that are named
-    outlier_share: float = 0.25  # largest share of outliers among what the open tracker has taken lately
-    least_segments: int = 40  # from which the open tracker has learned before it is used
-    nuisance_sds: float = 6.0  # by which a nuisance of a method may differ from a right file
+    begins: float = tuned(22.0, "chi^2", "of one open number, with all others within what the file allows")
+    begins_total: float = tuned(90.0, "chi^2", "of all open numbers")
+    ends: float = tuned(0.4, "1", "factor on these limits for the end of a contradiction")
+    poses_to_confirm: int = tuned(
+        40, "poses", "in a row without doubt (8 s) before the file counts as confirmed"
+    )
+    poses_to_doubt: int = tuned(60, "poses", "in a row with doubt before it is not confirmed any more")
+    least_poses: int = tuned(5, "poses", "in a row before a finding is isolated")
+    least_poses_open: int = tuned(
+        40, "poses", "same of the open tracker (8 s): other soil looks the same for seconds"
+    )
+    poses_to_end: int = tuned(50, "poses", "in a row without a finding before it ends")
+    poses_to_forget: int = tuned(25, "poses", "what was learned during a longer contradiction is discarded")
+    rival_share: float = tuned(0.6, "1", "of the best chi-square: what explains so much is named as well")
+    rivals: int = tuned(2, "explanations", "that are named beside the best")
+    outlier_share: float = tuned(
+        0.25, "1", "largest share of outliers among what the open tracker took lately"
+    )
+    least_segments: int = tuned(
+        40, "segments", "8 s, from which the open tracker has learned before it is used"
+    )
+    nuisance_sds: float = tuned(6.0, "sd", "by which a nuisance of a method may differ from a right file")
 
 
-PARAMETERS: Final = ConsistencyParameters()
+CONSISTENCY: Final = ConsistencyTuning()
 NOT_DRIVEN: Final = Reason(Code.NOT_DRIVEN)
 BY_METHOD: Final = frozenset({Code.METHOD_FINDS, Code.NO_TYRE})
 """Found in a method's estimate: learning goes on, so that it can end."""
@@ -101,7 +110,7 @@ def observe(
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
     """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
     found = findings.implausible_stiffness(machine, estimate)
-    limits = dict(zip(NAMES, PARAMETERS.nuisance_sds * open_numbers.allowed(machine), strict=True))
+    limits = dict(zip(NAMES, CONSISTENCY.nuisance_sds * open_numbers.allowed(machine), strict=True))
     for name, (value, sd) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
             of = (name, estimate.method)
@@ -202,18 +211,18 @@ def _found_at_pose(
 
 def _by_driving(state: Consistency, evidence: OpenEvidence) -> list[Diagnosis]:
     """What the open tracker finds."""
-    if evidence.learned < PARAMETERS.least_segments:
+    if evidence.learned < CONSISTENCY.least_segments:
         return []
     misfit = evidence.misfit
     decided = [one for one in contradictions(state) if one.code is Code.DRIVING_FINDS]
     best = float(misfit.by_name.max())
-    if _fits(evidence, PARAMETERS.ends if decided else 1.0):
+    if _fits(evidence, CONSISTENCY.ends if decided else 1.0):
         return []
     if decided:  # it keeps its key for as long as it lasts
         return decided
     order = np.argsort(-misfit.by_name)
-    names = [NAMES[k] for k in order if misfit.by_name[k] >= PARAMETERS.rival_share * best]
-    names = names[: PARAMETERS.rivals + 1]
+    names = [NAMES[k] for k in order if misfit.by_name[k] >= CONSISTENCY.rival_share * best]
+    names = names[: CONSISTENCY.rivals + 1]
     keys, k = [NUMBER[name].key for name in names], order[0]
     of, off, sd = (names[0], *keys[1:]), float(misfit.off[k]), float(misfit.sd[k])
     return [Diagnosis(Code.DRIVING_FINDS, keys[0], of, tuple(names), (off,), (sd,))]
@@ -223,14 +232,14 @@ def _fits(evidence: OpenEvidence, share: float) -> bool:
     """Whether what the open tracker finds is within a share of the limits."""
     misfit = evidence.misfit
     return bool(
-        float(misfit.by_name.max()) < share * PARAMETERS.begins
-        and misfit.total < share * PARAMETERS.begins_total
+        float(misfit.by_name.max()) < share * CONSISTENCY.begins
+        and misfit.total < share * CONSISTENCY.begins_total
     )
 
 
 def _rejected(evidence: OpenEvidence) -> list[Diagnosis]:
     """Whether many of the recent measurements are outliers of the open tracker."""
-    if evidence.rejected < PARAMETERS.outlier_share:
+    if evidence.rejected < CONSISTENCY.outlier_share:
         return []
     return [Diagnosis(Code.MOST_REJECTED, "receiver", amounts=(evidence.rejected,))]
 
@@ -246,7 +255,7 @@ def _update(
     for key, one in found.items():
         case = state.cases.setdefault(key, FaultCase(replace(one, since_ns=t_ns), one))
         opened = one.code is Code.DRIVING_FINDS
-        if not case.found(one, PARAMETERS.least_poses_open if opened else PARAMETERS.least_poses):
+        if not case.found(one, CONSISTENCY.least_poses_open if opened else CONSISTENCY.least_poses):
             continue
         if opened and (not state.open_restarted or evidence.rough):
             evidence = _restart_open(state, directive, evidence)
@@ -256,14 +265,14 @@ def _update(
         told = contradiction_event(case.diagnosis, sentence(one.reason))
         directive.events.append((CONTRADICTION, found_notice(told, one.reason)))
     for key, case in list(state.cases.items()):
-        if key in found or not case.missing(PARAMETERS.poses_to_end):
+        if key in found or not case.missing(CONSISTENCY.poses_to_end):
             continue
         del state.cases[key]
         if not case.isolated:
             continue
         over = replace(case.diagnosis, state=DiagnosisState.CLEARED)
         directive.events.append((CONTRADICTION, found_notice(contradiction_event(over, ""), over.reason)))
-        if case.lasted - PARAMETERS.poses_to_end >= PARAMETERS.poses_to_forget:
+        if case.lasted - CONSISTENCY.poses_to_end >= CONSISTENCY.poses_to_forget:
             directive.reset = True
             if case.latest.code not in OF_OPEN_NUMBERS:  # it has learned of it as well
                 directive.reset_open, evidence = True, evidence.restarted()
@@ -284,17 +293,17 @@ def _restart_open(state: Consistency, directive: Directive, evidence: OpenEviden
 
 def _update_confirmation(state: Consistency, machine: Machine, evidence: OpenEvidence) -> None:
     """Decide whether driving has confirmed the file; after a long doubt the confirmation is withdrawn."""
-    misfit, fits = evidence.misfit, _fits(evidence, PARAMETERS.ends)
+    misfit, fits = evidence.misfit, _fits(evidence, CONSISTENCY.ends)
     state.agrees.look(fits)
     if state.confirmed:
-        state.confirmed = state.agrees.absent < PARAMETERS.poses_to_doubt
+        state.confirmed = state.agrees.absent < CONSISTENCY.poses_to_doubt
         state.missing = _doubt_reason(evidence)
         return
     known = open_numbers.OF_PAIRS if state.pairs_known else ()
     unconfirmed_names = [name for name in open_numbers.unconfirmed(misfit, machine) if name not in known]
     decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
-    long_enough = state.agrees.seen >= PARAMETERS.poses_to_confirm
-    long_enough &= evidence.learned >= PARAMETERS.least_segments
+    long_enough = state.agrees.seen >= CONSISTENCY.poses_to_confirm
+    long_enough &= evidence.learned >= CONSISTENCY.least_segments
     state.confirmed = not unconfirmed_names and long_enough and decided
     state.open_restarted &= not state.confirmed
     if not unconfirmed_names and not fits:

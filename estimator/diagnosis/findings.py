@@ -12,9 +12,10 @@ import numpy as np
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.pose import latency, receiver_checks
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
-from tilth.estimator.pose.plausibility import SURVEY_SDS, pair_limits
+from tilth.estimator.pose.plausibility import PLAUSIBILITY, pair_limits
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.rig.numbers import NUMBER
+from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import WITHOUT_RTK, Estimate, FlagKind, Pose, Status
 from tilth.schemas.machine import Machine
@@ -23,15 +24,17 @@ from tilth.schemas.reasons import Code
 
 
 @dataclass(frozen=True, slots=True)
-class FindingsParameters:
+class FindingTuning:
     """When one instant shows something wrong."""
 
-    latency_chi_square: float = 30.0  # of up to three differences of latency
-    parked_limit: float = 0.2  # m, largest error of the hitch while the rig stands or creeps, or SURVEY_SDS
-    parked_poses: int = 10  # poses (2 s) in that mean; there are no more if the receiver becomes doubtful
+    latency_chi_square: float = tuned(30.0, "chi^2", "of up to three differences of latency")
+    parked_limit: float = tuned(
+        0.2, "m", "of the hitch's error at rest or creeping, if the survey's sds allow less"
+    )
+    parked_poses: int = tuned(10, "poses", "in that mean (2 s); no more if the receiver becomes doubtful")
 
 
-PARAMETERS: Final = FindingsParameters()
+FINDINGS: Final = FindingTuning()
 _OF_FLAG: Final = {
     FlagKind.MOVED: (Code.RECEIVER_NOT_THERE, "position", ("forward", "right")),
     FlagKind.SWAPPED: (Code.RECEIVER_EXCHANGED, "name", ()),
@@ -67,7 +70,7 @@ def wrong_rolls(checks: ReceiverChecks) -> list[Diagnosis]:
 def parked_errors(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
     """From distances while the rig stands or creeps, when latency has no effect on them."""
     sds = (machine.tractor.c.sd, machine.implement.d.sd, *(r.survey_sd for r in machine.receiver))
-    hitch = max(PARAMETERS.parked_limit, SURVEY_SDS * math.hypot(*sds))
+    hitch = max(FINDINGS.parked_limit, PLAUSIBILITY.survey_sds * math.hypot(*sds))
     limits = (*pair_limits(machine), hitch, hitch)
     return [
         Diagnosis(
@@ -75,7 +78,7 @@ def parked_errors(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
             names[:1], names, (float(mean.value),),
         )
         for names, limit, mean in zip(_PARKED, limits, aligner.long_term.parked, strict=True)
-        if mean.count >= PARAMETERS.parked_poses and abs(mean.value) > limit
+        if mean.count >= FINDINGS.parked_poses and abs(mean.value) > limit
     ]  # fmt: skip
 
 
@@ -89,7 +92,7 @@ def latencies(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
     differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
     off = differences @ aligner.latency.tau[present]
     covariance = differences @ prior[np.ix_(present, present)] @ differences.T
-    if float(off @ np.linalg.solve(covariance, off)) < PARAMETERS.latency_chi_square:
+    if float(off @ np.linalg.solve(covariance, off)) < FINDINGS.latency_chi_square:
         return []
     return [
         Diagnosis(Code.NO_LIKELY_LATENCY, _LATENCIES, numbers=("lever_t", "lever_i", "c", "d", "latency"))

@@ -7,6 +7,7 @@ with what is.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -14,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.diagnosis.sample import BodySample, Sample
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import MOUNTS
 from tilth.estimator.rig.numbers import NUMBERS
 from tilth.estimator.rig.residuals import (
-    CRUISE,
     LATENCIES,
     PairSlopes,
     gap_by_place,
@@ -30,17 +31,36 @@ from tilth.estimator.rig.residuals import (
     wheel_off,
     wheel_slopes,
 )
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SOIL: Final[dict[str, tuple[float, float]]] = {
-    "crab_per_turn_t": (0.03, 0.01), "crab_per_turn_i": (0.03, 0.01),  # rad per m/s^2 of lateral acceleration
-    "crab_per_roll_t": (0.3, 0.1), "crab_per_roll_i": (0.3, 0.1),  # rad per rad of roll
-    "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
-}  # fmt: skip
-"""Prior sd of each effect of soil and slope; sd by which it may drift."""
-CONSTANTS: Final = {row.name: (row.watch_sd, row.drift_sd) for row in NUMBERS if row.watch_sd} | SOIL
+
+@dataclass(frozen=True, slots=True)
+class InformationTuning:
+    """Which samples tell where things are."""
+
+    correlated: float = tuned(25.0, "poses", "5 s whose position errors count as one, as in pose/latency.py")
+    crab_sd: float = tuned(0.012, "rad", "of one pose on even ground")
+    crab_correlated: float = tuned(6.0, "poses", "that count as one")
+    wheel_sd: float = tuned(0.006, "rad", "of the wheel angle of one pose")
+    wheel_correlated: float = tuned(10.0, "poses", "that count as one")
+    straight: float = tuned(0.1, "rad/s", "turn rates of straight driving")
+    gentle: float = tuned(1.0, "m/s^2", "lateral, up to which slip is proportional to it")
+    small_angle: float = tuned(math.radians(9.0), "rad", "of the wheels")
+    soil: Mapping[str, tuple[float, float]] = tuned({
+        "crab_per_turn_t": (0.03, 0.01), "crab_per_turn_i": (0.03, 0.01),  # rad per m/s^2, lateral
+        "crab_per_roll_t": (0.3, 0.1), "crab_per_roll_i": (0.3, 0.1),  # rad per rad of roll
+        "wheel_per_turn": (0.03, 0.005), "wheel_per_roll": (0.2, 0.05),
+    }, "by unknown", "prior sd of each effect of soil and slope; sd by which it may drift")  # fmt: skip
+
+
+INFORMATION: Final = InformationTuning()
+
+CONSTANTS: Final = {row.name: (row.watch_sd, row.drift_sd) for row in NUMBERS if row.watch_sd} | dict(
+    INFORMATION.soil
+)
 """The same of the numbers of the rig that samples tell of: by how much each is more than the file says.
 c, d and aside are where the antennas of a body have the hitch."""
 NAMES: Final = tuple(CONSTANTS)
@@ -62,12 +82,6 @@ PAIR, TURN, ROLL = (_at(f"{name}_t", f"{name}_i") for name in ("pair", "crab_per
 WHEEL_ROW: Final = _at("wheel_zero", "wheel_gain", "wheel_per_turn", "wheel_per_roll")
 
 KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two crab angles, wheels
-CORRELATED: Final = 25.0  # poses (5 s) whose position errors count as one, as in pose/latency.py
-CRAB_SD, CRAB_CORRELATED = 0.012, 6.0  # rad of one pose on even ground; poses that count as one
-WHEEL_SD, WHEEL_CORRELATED = 0.006, 10.0
-STRAIGHT: Final = 0.1  # rad/s
-GENTLE: Final = 1.0  # m/s^2 of lateral acceleration, up to which slip is proportional to it
-SMALL_ANGLE: Final = math.radians(9.0)  # of the wheels
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +106,12 @@ def lengths(machine: Machine) -> Lengths:
     shares = hitch_shares((front[0], front[1]), (rear[0], rear[1]), places)
     sd = max(receiver.position_sd for receiver in machine.receiver)
     right_sd = sd * float(np.linalg.norm(shares))
+    of = INFORMATION
     return Lengths(
         levers, places,
         (-machine.tractor.b.value, -machine.implement.e.value), machine.tractor.wheelbase,
-        np.array([sd * math.sqrt(2)] * 2 + [sd, right_sd, CRAB_SD, CRAB_SD, WHEEL_SD]),
-        np.array([CORRELATED] * 4 + [CRAB_CORRELATED] * 2 + [WHEEL_CORRELATED]),
+        np.array([sd * math.sqrt(2)] * 2 + [sd, right_sd] + [of.crab_sd] * 2 + [of.wheel_sd]),
+        np.array([of.correlated] * 4 + [of.crab_correlated] * 2 + [of.wheel_correlated]),
     )  # fmt: skip
 
 
@@ -115,7 +130,7 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
             measured[4 + k] = sideways(body.lateral_velocity, r, rig.axles[k]) / u
             there[4 + k] = True
     wheel = now.wheel_angle
-    if there[4] and wheel is not None and abs(wheel) < SMALL_ANGLE:
+    if there[4] and wheel is not None and abs(wheel) < INFORMATION.small_angle:
         u, r = now.tractor.forward_velocity, now.tractor.yaw_rate
         path = path_angle(rig.wheelbase, u, r)
         design[6, WHEEL_ROW] = *wheel_slopes(np.array(path), np.array(u * r)), now.tractor.roll
@@ -127,7 +142,7 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
 
 def _is_gentle(body: BodySample) -> bool:
     u, r = body.forward_velocity, body.yaw_rate
-    return u > CRUISE and abs(r) < STRAIGHT and abs(u * r) < GENTLE
+    return u > DRIVING.cruise and abs(r) < INFORMATION.straight and abs(u * r) < INFORMATION.gentle
 
 
 def _lengths_and_gap(rig: Lengths, now: Sample, design: Array) -> None:

@@ -14,6 +14,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.rig.numbers import NUMBERS, names
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -22,7 +23,16 @@ OPEN: Final = sorted((row for row in NUMBERS if row.open_sd), key=lambda row: AT
 """Numbers of the rig that are left open."""
 NAMES: Final = names(OPEN)
 OF_PAIRS: Final = names(row for row in OPEN if row.in_rows and row.place)
-CERTAIN: Final = 2.33  # sds by which the data must be off each gross error: one in a hundred passes
+
+
+@dataclass(frozen=True, slots=True)
+class OpenNumberTuning:
+    """When a gross error is ruled out."""
+
+    certain: float = tuned(2.33, "sd", "by which data must be off each gross error: one in a hundred passes")
+
+
+OPEN_NUMBERS: Final = OpenNumberTuning()
 
 
 class Misfit(NamedTuple):
@@ -87,5 +97,5 @@ def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
         if row.gross:
             size = math.log1p(row.gross / (1.0 if row.value is None else row.value(machine)))
             off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
-            ratio[row.name] = max(ratio[row.name], CERTAIN / max(off, 1e-3))
+            ratio[row.name] = max(ratio[row.name], OPEN_NUMBERS.certain / max(off, 1e-3))
     return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])

@@ -7,9 +7,9 @@ that was moved along its body. The watch learns them itself, beside the places.
 from dataclasses import dataclass
 
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose.aligner import MOUNTS, WHEEL_HOLD_NS, Aligner
+from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity, hitch
-from tilth.estimator.pose.receiver_track import NO_POSITION, SLOW_HOLD_NS, sample_at
+from tilth.estimator.pose.receiver_track import NO_POSITION, RECEIVER_TRACK, sample_at
 from tilth.estimator.pose.roll_pitch import mean_of
 from tilth.estimator.rig.geometry import Vector, lever, wrap
 from tilth.estimator.rig.residuals import hitch_gap
@@ -58,7 +58,7 @@ def sample(aligner: Aligner, t_ns: int) -> Sample | None:
     if tractor is None or implement is None:
         return None
     gap = hitch_gap(tractor.hitch, implement.hitch, implement.heading)
-    wheel = sample_at(aligner.wheel, t_ns, WHEEL_HOLD_NS)
+    wheel = sample_at(aligner.wheel, t_ns, ALIGNMENT.wheel_hold_ns)
     return Sample(tractor, implement, gap, wheel[0] if wheel else None)
 
 
@@ -80,11 +80,11 @@ def _body(
 ) -> BodySample | None:
     """to_hitch: forward of the body's CG, m."""
     tracks = [aligner.tracks[receiver.mount.value] for receiver in pair]
-    roll = mean_of(sample_at(track.rolls, t_ns, SLOW_HOLD_NS) for track in tracks)
+    roll = mean_of(sample_at(track.rolls, t_ns, RECEIVER_TRACK.slow_hold_ns) for track in tracks)
     rate = mean_of(track.yaw_rate_at(t_ns) for track in tracks)
     if roll is None or rate is None:
         return None
-    pitch = mean_of(sample_at(track.pitches, t_ns, SLOW_HOLD_NS) for track in tracks) or 0.0
+    pitch = mean_of(sample_at(track.pitches, t_ns, RECEIVER_TRACK.slow_hold_ns) for track in tracks) or 0.0
     points = []
     for receiver, track in zip(pair, tracks, strict=True):
         place, velocity = track.position_at(t_ns), track.velocity_at(t_ns)

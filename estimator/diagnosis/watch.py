@@ -25,26 +25,37 @@ from tilth.estimator.diagnosis.information import (
 )
 from tilth.estimator.diagnosis.sample import sample
 from tilth.estimator.diagnosis.wheel_speed import WheelSpeedState
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.rig.lifecycle import Persistence
 from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
-from tilth.estimator.rig.residuals import UNDER_WAY
+from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-BLOCK: Final = 100  # samples (20 s)
-SINCE: Final = (3, 4, 6, 9, 12, 18, 24, 30)  # blocks ago, since when something may have been moved
-LEAST_BEFORE: Final = 6  # blocks before that, to compare with
-MEMORY: Final = 180.0  # blocks (an hour of driving) over which older samples count ever less
-SURE: Final = 25.0  # chi-square; of right rigs over 40 h the largest was half of it
-RIVAL: Final = 9.0  # what is worse than the best by less may be it as well
-TWICE: Final = 2  # blocks in a row
-NEARLY: Final = 0.6  # share of the chi-square of a latency that may be a receiver
-CLEAR: Final = 3  # blocks in a row after which it is said although a rival is left
-SCATTER_MEMORY: Final = 0.1  # share of a new block in the scatter of the rows
+
+@dataclass(frozen=True, slots=True)
+class WatchTuning:
+    """When something has been moved."""
+
+    block: int = tuned(100, "samples", "20 s")
+    since: tuple[int, ...] = tuned(
+        (3, 4, 6, 9, 12, 18, 24, 30), "blocks", "ago, when something may have been moved"
+    )
+    least_before: int = tuned(6, "blocks", "before that, to compare with")
+    memory: float = tuned(180.0, "blocks", "an hour of driving over which older samples count ever less")
+    sure: float = tuned(25.0, "chi^2", "of right rigs over 40 h the largest was half of it")
+    rival: float = tuned(9.0, "chi^2", "what is worse than the best by less may be it as well")
+    twice: int = tuned(2, "blocks", "in a row")
+    nearly: float = tuned(0.6, "1", "share of the chi-square of a latency that may be a receiver")
+    clear: int = tuned(3, "blocks", "in a row after which it is said although a rival is left")
+    scatter_memory: float = tuned(0.1, "1", "share of a new block in the scatter of the rows")
+
+
+WATCH: Final = WatchTuning()
 
 
 @dataclass(slots=True)
@@ -95,13 +106,13 @@ class WatchState:
 def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Diagnosis]:
     """Take one pose. Returns what was found moved with it."""
     speed = pose.tractor.forward_velocity
-    if speed is None or speed < UNDER_WAY or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
+    if speed is None or speed < DRIVING.under_way or any(flag.kind in WITHOUT_RTK for flag in pose.flags):
         return []
-    now = sample(aligner, pose.t_ns - POSE_NS)
+    now = sample(aligner, pose.t_ns - ALIGNMENT.pose_ns)
     if now is None:
         return []
     _add(state, aligner.machine, rows(lengths(aligner.machine), now), pose.t_ns)
-    if state.samples < BLOCK:
+    if state.samples < WATCH.block:
         return []
     _end_block(state, aligner.machine)
     return _look(state, aligner.machine)
@@ -126,18 +137,18 @@ def _add(
 
 def _end_block(state: WatchState, machine: Machine) -> None:
     n, total, squares = state.sums.T
-    enough = n > BLOCK / 4
+    enough = n > WATCH.block / 4
     variance = (squares - total**2 / np.maximum(n, 1.0)) / np.maximum(n, 1.0)
     seen = np.maximum(variance / lengths(machine).sds ** 2, 1.0)
-    state.scatter[enough] += SCATTER_MEMORY * (seen - state.scatter)[enough]
+    state.scatter[enough] += WATCH.scatter_memory * (seen - state.scatter)[enough]
     state.blocks.append(state.block)
     state.block, state.samples, state.sums = InformationForm(), 0, np.zeros((KINDS, 3))
-    if len(state.blocks) > SINCE[-1]:
+    if len(state.blocks) > WATCH.since[-1]:
         _age(state, state.blocks.pop(0))
 
 
 def _age(state: WatchState, block: InformationForm) -> None:
-    keep = 1.0 - 1.0 / MEMORY
+    keep = 1.0 - 1.0 / WATCH.memory
     state.old = _sum(
         [InformationForm(keep * state.old.information, keep * state.old.vector, state.old.since_ns), block]
     )
@@ -157,14 +168,14 @@ def _look(state: WatchState, machine: Machine) -> list[Diagnosis]:
     state.mean, _ = posterior(_sum([state.old, *state.blocks]))
     told = _follow(state, machine)
     best: tuple[int, list[Explanation]] | None = None
-    for since in SINCE:
-        if state.old_blocks + len(state.blocks) - since < LEAST_BEFORE:
+    for since in WATCH.since:
+        if state.old_blocks + len(state.blocks) - since < WATCH.least_before:
             break
         before, now = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
         explanations = judge(machine, *posterior(before), now)
         if best is None or explanations[0].chi_square > best[1][0].chi_square:
             best = (since, explanations)
-    if best is None or best[1][0].chi_square < SURE or not _matters(best[1][0]):
+    if best is None or best[1][0].chi_square < WATCH.sure or not _matters(best[1][0]):
         state.suspected.look(False)
         return told
     return told + _suspect(state, machine, *best)
@@ -198,7 +209,7 @@ def _is_back(machine: Machine, moved: Moved, now: InformationForm) -> bool:
     here = next(explanation for explanation in explanations if explanation.name == moved.names[0])
     apart = here.amounts - moved.amounts
     chi_square = apart @ np.linalg.solve(here.covariance + moved.covariance, apart)
-    return float(chi_square) > SURE and not _matters(here)
+    return float(chi_square) > WATCH.sure and not _matters(here)
 
 
 def carried(machine: Machine, moved: Moved) -> Moved:
@@ -220,14 +231,14 @@ def _set(moved: Moved, explanation: Explanation) -> None:
 
 def _names(explanations: list[Explanation]) -> list[str]:
     """What explains it about as well as the best does."""
-    least = explanations[0].chi_square - RIVAL
+    least = explanations[0].chi_square - WATCH.rival
     return [v.name for v in explanations if v.chi_square > least and not HYPOTHESIS[v.name].absorbed]
 
 
 def _like_another(explanations: list[Explanation]) -> bool:
     """Whether something that is no latency explains it nearly as well as the latency that does best."""
     others = [v.chi_square for v in explanations if not HYPOTHESIS[v.name].absorbed]
-    return max(others) > NEARLY * explanations[0].chi_square
+    return max(others) > WATCH.nearly * explanations[0].chi_square
 
 
 def _suspect(
@@ -236,7 +247,7 @@ def _suspect(
     """Something has been moved, if that is so block after block."""
     first, names = explanations[0], _names(explanations)
     state.suspected.look(True)
-    if state.suspected.seen < (TWICE if len(names) < 2 else CLEAR):
+    if state.suspected.seen < (WATCH.twice if len(names) < 2 else WATCH.clear):
         return []
     if HYPOTHESIS[first.name].absorbed and _like_another(explanations):
         return []  # a receiver that is further forward looks alike until it is driven at another speed
@@ -274,7 +285,10 @@ def _absorb(
     covariance = covariance + drift() + directions @ found.covariance @ directions.T
     information = np.linalg.inv(covariance) - prior_information()
     vector = np.linalg.solve(covariance, mean + directions @ found.amounts)
-    state.old, state.old_blocks = InformationForm(information, vector, before.since_ns), float(LEAST_BEFORE)
+    state.old, state.old_blocks = (
+        InformationForm(information, vector, before.since_ns),
+        float(WATCH.least_before),
+    )
     state.blocks = state.blocks[-since:]
 
 

@@ -24,31 +24,42 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
-from tilth.estimator.pose.aligner import POSE_NS, WHEEL_HOLD_NS, Aligner
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.pose.receiver_track import sample_at
 from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
-from tilth.estimator.rig.residuals import CRUISE, speed_off
+from tilth.estimator.rig.residuals import speed_off
+from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Pose
 from tilth.schemas.machine import Machine
 
-STRAIGHT: Final = 0.1  # rad/s
-MOVING: Final = 0.3  # m/s
-AVERAGE: Final = 20  # poses (4 s) whose speeds are averaged
-EACH: Final = 5  # poses (1 s) from one average to the next
-STEADY: Final = 0.3  # m/s, between slowest and fastest of them: else the delay of the wheels' speed matters
-POSSIBLE: Final = 0.3  # of the logarithm of the ratio, about 1; beyond, it is no speed of these wheels
-TURN: Final = 1.0  # rad, after which a stretch ends
-SHORTEST, LONGEST = 8, 120  # averages of a stretch; what is shorter goes into the next one
-RECENT, AGREEING = 5, 4  # stretches; how many of them have the floor
-AT_TURN: Final = 8  # averages of a stretch, next to the turns at its ends, where an implement is lifted
-HARDLY_MORE: Final = 0.008  # of the logarithm, than the lowest ratio of the stretch
-AGREE: Final = 0.01  # of the logarithm, within which they have it
-FLOOR_SD: Final = 0.005  # of the logarithm: light driving has some slip too, on each soil another
-LEAST: Final = 0.018  # of the logarithm: a smaller change is not told from that
-SDS: Final = 2.5  # of floor and known factor; a smaller change is none
-BACK: Final = 0.5  # share of the limit below which the change is over
-STAND_NS: Final = 300_000_000_000  # standing so long, tyres may be changed
+
+@dataclass(frozen=True, slots=True)
+class TyreWatchTuning:
+    """When the tyres turn more than they did."""
+
+    straight: float = tuned(0.1, "rad/s", "turn rates of straight driving")
+    average: int = tuned(20, "poses", "4 s whose speeds are averaged")
+    each: int = tuned(5, "poses", "1 s from one average to the next")
+    steady: float = tuned(0.3, "m/s", "between slowest and fastest of them: else the wheels' delay matters")
+    possible: float = tuned(0.3, "1", "of the ratio's logarithm; beyond, it is no speed of these wheels")
+    turn: float = tuned(1.0, "rad", "after which a stretch ends")
+    shortest: int = tuned(8, "averages", "of a stretch; what is shorter goes into the next one")
+    longest: int = tuned(120, "averages", "of a stretch")
+    recent: int = tuned(5, "stretches", "that are compared")
+    agreeing: int = tuned(4, "stretches", "of these, that have the floor")
+    at_turn: int = tuned(8, "averages", "at the ends of a stretch, where an implement is lifted")
+    hardly_more: float = tuned(0.008, "1", "of the logarithm, than the lowest ratio of the stretch")
+    agree: float = tuned(0.01, "1", "of the logarithm, within which they have it")
+    floor_sd: float = tuned(0.005, "1", "of the logarithm: light driving slips too, on each soil otherwise")
+    least: float = tuned(0.018, "1", "of the logarithm: a smaller change is not told from that")
+    sds: float = tuned(2.5, "sd", "of floor and known factor; a smaller change is none")
+    back: float = tuned(0.5, "1", "share of the limit below which the change is over")
+    stand_ns: int = tuned(300_000_000_000, "ns", "standing so long, tyres may be changed")
+
+
+TYRE_WATCH: Final = TyreWatchTuning()
 
 
 @dataclass(slots=True)
@@ -76,7 +87,7 @@ class WheelSpeedState:
     """Plain data; logarithms of indicated over true speed where not said otherwise."""
 
     poses: int = 0  # in a row, up to now, of which an average may be made
-    wheels: list[float] = field(default_factory=list)  # m/s, of the last AVERAGE of them
+    wheels: list[float] = field(default_factory=list)  # m/s, of the last `average` of them
     ground: list[float] = field(default_factory=list)  # m/s
     averages: list[float] = field(default_factory=list)  # in the stretch of now
     turned: float = 0.0  # rad, in turns of the stretch
@@ -100,7 +111,7 @@ class Instant(NamedTuple):
 
 def observe(state: WheelSpeedState, aligner: Aligner, pose: Pose) -> Diagnosis | None:
     """Take one pose. Returns what was found with it."""
-    wheels = sample_at(aligner.wheel_speeds, pose.t_ns, WHEEL_HOLD_NS)
+    wheels = sample_at(aligner.wheel_speeds, pose.t_ns, ALIGNMENT.wheel_hold_ns)
     ground = pose.tractor.forward_velocity
     if any(flag.kind in WITHOUT_RTK and flag.of.startswith("tractor") for flag in pose.flags):
         ground = None
@@ -111,13 +122,13 @@ def observe(state: WheelSpeedState, aligner: Aligner, pose: Pose) -> Diagnosis |
 def take(state: WheelSpeedState, machine: Machine, now: Instant) -> Diagnosis | None:
     """The same with the speeds of one instant."""
     _stand(state, now)
-    if now.yaw_rate is not None and abs(now.yaw_rate) > STRAIGHT:
-        state.turned += abs(now.yaw_rate) * POSE_NS * 1e-9
+    if now.yaw_rate is not None and abs(now.yaw_rate) > TYRE_WATCH.straight:
+        state.turned += abs(now.yaw_rate) * ALIGNMENT.pose_ns * 1e-9
     ratio = _average(state, now)
     if ratio is None:
         return None
-    ends = state.turned > TURN or len(state.averages) >= LONGEST
-    if not ends or len(state.averages) < SHORTEST:
+    ends = state.turned > TYRE_WATCH.turn or len(state.averages) >= TYRE_WATCH.longest
+    if not ends or len(state.averages) < TYRE_WATCH.shortest:
         state.averages.append(ratio)
         return None
     _end_stretch(state)
@@ -127,9 +138,9 @@ def take(state: WheelSpeedState, machine: Machine, now: Instant) -> Diagnosis | 
 
 def _stand(state: WheelSpeedState, now: Instant) -> None:
     """After the machine has stood for long, all is counted anew: tyres may have been changed."""
-    if max(now.ground or 0.0, now.wheels or 0.0) < MOVING:
+    if max(now.ground or 0.0, now.wheels or 0.0) < DRIVING.moving:
         return
-    if state.since_ns == 0 or now.t_ns - state.moving_ns > STAND_NS:
+    if state.since_ns == 0 or now.t_ns - state.moving_ns > TYRE_WATCH.stand_ns:
         if state.floor is not None and state.change is None:
             state.learned = state.floor if state.learned is None else min(state.floor, state.learned)
         state.lows, state.lowest, state.floor, state.since_ns = [], math.inf, None, now.t_ns
@@ -141,19 +152,19 @@ def _stand(state: WheelSpeedState, now: Instant) -> None:
 def _average(state: WheelSpeedState, now: Instant) -> float | None:
     """Logarithm of the mean ratio of the last 4 s, each second in which they were straight and steady."""
     ground, wheels, yaw_rate = now.ground, now.wheels, now.yaw_rate
-    straight = yaw_rate is not None and abs(yaw_rate) < STRAIGHT
-    if ground is None or wheels is None or not straight or ground < CRUISE:
+    straight = yaw_rate is not None and abs(yaw_rate) < TYRE_WATCH.straight
+    if ground is None or wheels is None or not straight or ground < DRIVING.cruise:
         _begin_average(state)
         return None
     state.poses += 1
-    state.wheels = [*state.wheels, wheels][-AVERAGE:]
-    state.ground = [*state.ground, ground][-AVERAGE:]
-    if state.poses < AVERAGE or state.poses % EACH:
+    state.wheels = [*state.wheels, wheels][-TYRE_WATCH.average :]
+    state.ground = [*state.ground, ground][-TYRE_WATCH.average :]
+    if state.poses < TYRE_WATCH.average or state.poses % TYRE_WATCH.each:
         return None
-    if max(state.ground) - min(state.ground) > STEADY:
+    if max(state.ground) - min(state.ground) > TYRE_WATCH.steady:
         return None
     ratio = speed_off(max(sum(state.wheels), 1e-3), sum(state.ground))
-    return ratio if abs(ratio) < POSSIBLE else None
+    return ratio if abs(ratio) < TYRE_WATCH.possible else None
 
 
 def _begin_average(state: WheelSpeedState) -> None:
@@ -167,8 +178,10 @@ def _begin_stretch(state: WheelSpeedState) -> None:
 def _end_stretch(state: WheelSpeedState) -> None:
     """Of no use for the floor is a stretch that was driven lightest far from its turns."""
     low = min(state.averages)
-    at_turns = min(state.averages[:AT_TURN] + state.averages[-AT_TURN:])
-    state.lows = [*state.lows, low if at_turns < low + HARDLY_MORE else math.inf][-RECENT:]
+    at_turns = min(state.averages[: TYRE_WATCH.at_turn] + state.averages[-TYRE_WATCH.at_turn :])
+    state.lows = [*state.lows, low if at_turns < low + TYRE_WATCH.hardly_more else math.inf][
+        -TYRE_WATCH.recent :
+    ]
     state.lowest = min(state.lowest, low)
     _begin_stretch(state)
 
@@ -176,10 +189,10 @@ def _end_stretch(state: WheelSpeedState) -> None:
 def floor_of(lows: list[float]) -> float | None:
     """The floor of the lowest ratios of some stretches; None where they do not agree on one."""
     ordered = sorted(lows)
-    for k in range(len(ordered) - AGREEING + 1):
-        chosen = ordered[k : k + AGREEING]
-        if chosen[-1] - chosen[0] < AGREE:
-            return sum(chosen) / AGREEING
+    for k in range(len(ordered) - TYRE_WATCH.agreeing + 1):
+        chosen = ordered[k : k + TYRE_WATCH.agreeing]
+        if chosen[-1] - chosen[0] < TYRE_WATCH.agree:
+            return sum(chosen) / TYRE_WATCH.agreeing
     return None
 
 
@@ -188,7 +201,7 @@ def known(state: WheelSpeedState, machine: Machine) -> tuple[float, float] | Non
     factor = machine.tractor.wheel_speed_factor
     if factor is not None:
         return math.log(factor.value), factor.sd / factor.value
-    return None if state.learned is None else (state.learned, FLOOR_SD)
+    return None if state.learned is None else (state.learned, TYRE_WATCH.floor_sd)
 
 
 def _look(state: WheelSpeedState, machine: Machine) -> Diagnosis | None:
@@ -200,21 +213,21 @@ def _look(state: WheelSpeedState, machine: Machine) -> Diagnosis | None:
     if factor is None:
         return None
     mean, sd = factor
-    limit = max(LEAST, SDS * math.hypot(sd, FLOOR_SD))
+    limit = max(TYRE_WATCH.least, TYRE_WATCH.sds * math.hypot(sd, TYRE_WATCH.floor_sd))
     change = state.change
     if change is not None:
-        change.now, change.sd = math.exp(recent), math.exp(recent) * FLOOR_SD
-        if abs(recent - mean) > BACK * limit:
+        change.now, change.sd = math.exp(recent), math.exp(recent) * TYRE_WATCH.floor_sd
+        if abs(recent - mean) > TYRE_WATCH.back * limit:
             return None
         state.change = None
         return replace(change.diagnosis, state=DiagnosisState.CLEARED)
     larger = recent < mean - limit
-    all_agree = len(state.lows) == RECENT and max(state.lows) - min(state.lows) < AGREE
-    smaller = all_agree and state.floor > mean + limit and state.lowest > mean + BACK * limit
+    all_agree = len(state.lows) == TYRE_WATCH.recent and max(state.lows) - min(state.lows) < TYRE_WATCH.agree
+    smaller = all_agree and state.floor > mean + limit and state.lowest > mean + TYRE_WATCH.back * limit
     if not larger and not smaller:
         return None
     before, now = math.exp(mean), math.exp(recent)
-    state.change = RadiusChange(before, before * sd, now, now * FLOOR_SD, state.since_ns)
+    state.change = RadiusChange(before, before * sd, now, now * TYRE_WATCH.floor_sd, state.since_ns)
     return state.change.diagnosis
 
 

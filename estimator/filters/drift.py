@@ -5,20 +5,31 @@ the prior.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.tuning import tuned
+
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
-DRIFT_LENGTH_M: Final = 50_000.0  # correlation length of the soil
+
+@dataclass(frozen=True, slots=True)
+class DriftTuning:
+    """How soil differs from place to place."""
+
+    length_m: float = tuned(50_000.0, "m", "correlation length of the soil")
+
+
+DRIFT: Final = DriftTuning()
 
 
 def retained_share(metres: float) -> float:
     """Correlation of the soil's log-parameters over so many metres."""
-    return math.exp(-metres / DRIFT_LENGTH_M)
+    return math.exp(-metres / DRIFT.length_m)
 
 
 def added_covariance(share: float, prior_sd: Array) -> Array:

@@ -2,6 +2,7 @@
 model leaves out, and for errors of the motion model."""
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,72 +13,84 @@ from tilth.estimator.filters.likelihood import Search
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import AT, NAMES
 from tilth.estimator.record.record import KIND, PLACE, TICK, WHEEL_ANGLE, R, Record, U
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
-COLOUR_FACTOR: Final = 1.0
-"""The sds of the six grow by this factor times the autocorrelation of the innovations, to account for ground
-that is no Gauss-Markov process and for slow errors of receivers. From Monte Carlo; no effect on white
-innovations."""
-MODEL_SD: Final = 0.03
-"""Sd of each of the six logarithms from errors of the model, which more data do not reduce: tyre curves and
-load transfer of the real rig differ from those of the file, and relaxation lengths fall with slip. By Monte
-Carlo on the spatial plant with drawn rigs, tyres and ground."""
-LENGTH_SD: Final = np.array([0.05, 0.05, 0.06])  # m
-"""What is added to each relaxation length. A lag that the model leaves out is a distance, whatever the tyre's
-own length is: 10 ms at 4.5 m/s. By a stranger's plant (134 rigs, lengths from 0.3 m): the error was 0.06 to
-0.11 m in front and behind, 0.3 m or 1.2 m long, and of lengths below 0.5 m one in seven was beyond its 95 %
-interval (4.8 sds once), as long as errors were taken to be in proportion."""
-HARD: Final = 0.72  # m/s^2, rms of lateral acceleration: 6 degrees rms of the wheels at 4.5 m/s
-HARDEST: Final = 1.5  # of its square: nobody knows how errors go on
-HARD_SD: Final = np.array([0.06, 0.05, 0.03, 0.05, 0.03, 0.18])
-"""What is added where a rig is driven as hard as HARD; it goes with the square, as what tyres give less than
-in proportion to slip does. There real tyre curves, and how lengths fall with slip, differ most from the
-model's. By two plants of a stranger, one spatial and one planar, of 24 and 16 rigs: C_af came out 7 % soft
-on the one, C_ar 5 % stiff and sigma_i 25 % short on the other."""
-HELD_S: Final = 4.0
-HELD_SD: Final = np.array([0.06, 0.06, 0.0, 0.0, 0.0, 0.0])
-"""What is added where all of the steering is held for so long, as in steady circles. These tell stiffnesses
-by a tenth of a degree of slip, and what is wrong with the model is the same all the way, so it does not
-average out. By three steps of 30 s on a plant of a stranger (59 rigs): C_af and C_ar came out 5 % stiff, and
-held in 86 % of all runs."""
-TIGHT: Final = math.radians(15.0)  # of the wheels
-TIGHT_SHARE: Final = 0.1
-"""Where wheels are beyond TIGHT for longer than this share of what was learned from, errors of the model are
-those of sharp turns."""
-TIGHT_SD: Final = np.array([0.15, 0.11, 0.24, 0.14, 0.28, 0.18])
-"""The same in sharp turns. In headland turns a hundredth of the wheel angle, or
-of the speed, does what a fifth of the front tyres' stiffness does. What the covariance of `pem` leaves of its
-root mean square error after 18 fields of the spatial and 18 of the planar plant, weighted alike, and a tenth
-more; of C_ai since lengths are not exact, after 11 fields of the planar plant (0.31) and 16 of a stranger's
-(0.09)."""
-TRACKED_TIGHT_SD: Final = np.array([0.22, 0.25, 0.23, 0.21, 0.23, 0.28])
-"""The same of `tracker`; of C_ai more, since other fields of the planar plant ask for it. Its sigma_i would
-ask for 0.4 there: with that there is no number. C_af, C_ar and sigma_f are those of 22 fields of a stranger's
-plant, where C_ar came out 23 % stiff; our own ask for 0.14, 0.13 and 0.12."""
-ROUGH_SD: Final = 0.1
-"""The same of the three stiffnesses on ground that is as uneven as unknowns.ROUGH. Where the loads of the
-wheels come and go, less side force is left on average: on the spatial plant 5 to 16 % less on ground of 3 cm
-rms, where the loads' sd is a third of them, and 1 to 4 % on 1 cm. It goes with the square of the unevenness.
-"""
-BIN_S: Final = 0.1
-LAGS: Final = 12  # bins over which scores may be correlated, by waves of the ground and slow receiver errors
+
+@dataclass(frozen=True, slots=True)
+class FitCovarianceTuning:
+    """What widens the covariance of a fit: errors of the model of noise and of motion."""
+
+    colour_factor: float = tuned(1.0, "1", "growth of the six sds by the innovations' autocorrelation")
+    """For ground that is no Gauss-Markov process, and slow errors of receivers. From Monte Carlo; no effect
+    on white innovations."""
+    model_sd: float = tuned(0.03, "1", "sd of the six from errors of the model, which no data reduce")
+    """Tyre curves and load transfer of the real rig differ from those of the file, and relaxation lengths
+    fall with slip. By Monte Carlo on the spatial plant with drawn rigs, tyres and ground."""
+    length_sd: Array = tuned(np.array([0.05, 0.05, 0.06]), "m", "what is added to each relaxation length")
+    """A lag that the model leaves out is a distance, whatever the tyre's own length is: 10 ms at 4.5 m/s. By
+    a stranger's plant (134 rigs, lengths from 0.3 m): the error was 0.06 to 0.11 m in front and behind, 0.3 m
+    or 1.2 m long, and of lengths below 0.5 m one in seven was beyond its 95 % interval (4.8 sds once), as
+    long as errors were taken to be in proportion."""
+    hard: float = tuned(0.72, "m/s^2", "rms, lateral, in hard driving: 6° rms of the wheels at 4.5 m/s")
+    hardest: float = tuned(1.5, "1", "of its square, at most: nobody knows how errors go on")
+    hard_sd: Array = tuned(
+        np.array([0.06, 0.05, 0.03, 0.05, 0.03, 0.18]), "1", "what is added there to the six"
+    )
+    """It goes with the square, as what tyres give less than in proportion to slip does. There real tyre
+    curves, and how lengths fall with slip, differ most from the model's. By two plants of a stranger, one
+    spatial and one planar, of 24 and 16 rigs: C_af came out 7 % soft on the one, C_ar 5 % stiff and sigma_i
+    25 % short on the other."""
+    held_s: float = tuned(4.0, "s", "for which all of the steering is held in steady circles")
+    held_sd: Array = tuned(np.array([0.06, 0.06, 0.0, 0.0, 0.0, 0.0]), "1", "what is added to the six there")
+    """Steady circles tell stiffnesses by a tenth of a degree of slip, and what is wrong with the model is the
+    same all the way, so it does not average out. By three steps of 30 s on a plant of a stranger (59 rigs):
+    C_af and C_ar came out 5 % stiff, and held in 86 % of all runs."""
+    tight: float = tuned(math.radians(15.0), "rad", "wheels beyond it are in a sharp turn")
+    tight_share: float = tuned(0.1, "1", "of what was learned from, for errors to be those of sharp turns")
+    """Above it, errors of the model are those of sharp turns."""
+    tight_sd: Array = tuned(
+        np.array([0.15, 0.11, 0.24, 0.14, 0.28, 0.18]), "1", "what is added to the six there"
+    )
+    """In headland turns a hundredth of the wheel angle, or of the speed, does what a fifth of the front
+    tyres' stiffness does. What the covariance of `pem` leaves of its root mean square error after 18 fields
+    of the spatial and 18 of the planar plant, weighted alike, and a tenth more; of C_ai since lengths are not
+    exact, after 11 fields of the planar plant (0.31) and 16 of a stranger's (0.09)."""
+    tracked_tight_sd: Array = tuned(np.array([0.22, 0.25, 0.23, 0.21, 0.23, 0.28]), "1", "same of tracker")
+    """Of C_ai more, since other fields of the planar plant ask for it. Its sigma_i would ask for 0.4 there:
+    with that there is no number. C_af, C_ar and sigma_f are those of 22 fields of a stranger's plant, where
+    C_ar came out 23 % stiff; our own ask for 0.14, 0.13 and 0.12."""
+    rough_sd: float = tuned(0.1, "1", "what is added to the three stiffnesses on `PRIOR.rough` ground")
+    """Where the loads of the wheels come and go, less side force is left on average: on the spatial plant 5
+    to 16 % less on ground of 3 cm rms, where the loads' sd is a third of them, and 1 to 4 % on 1 cm. It goes
+    with the square of the unevenness."""
+    bin_s: float = tuned(0.1, "s", "over which scores are summed")
+    lags: int = tuned(12, "bins", "with correlated scores, by waves of the ground and slow errors")
+
+
+FIT_COVARIANCE: Final = FitCovarianceTuning()
 
 
 def model_sd(
-    tight: bool, lateral: float, uneven: float, logs: Array, tight_sd: Array = TIGHT_SD, held: float = 0.0
+    tight: bool,
+    lateral: float,
+    uneven: float,
+    logs: Array,
+    tight_sd: Array = FIT_COVARIANCE.tight_sd,
+    held: float = 0.0,
 ) -> Array:
     """Sds of the six logarithms, (6,), from errors of the model. tight: in sharp turns, so they are at least
     tight_sd. lateral: rms of lateral acceleration, m/s^2. uneven: sd of how far the ground turns the wheels
     about a body's long axis, rad. logs: (6,), of the parameters. held: as `held_share`."""
-    hard = min((lateral / HARD) ** 2, HARDEST)
-    sds = np.full(6, MODEL_SD)
-    sds[3:] = np.hypot(MODEL_SD, LENGTH_SD * np.exp(-logs[3:]))
+    hard = min((lateral / FIT_COVARIANCE.hard) ** 2, FIT_COVARIANCE.hardest)
+    sds = np.full(6, FIT_COVARIANCE.model_sd)
+    sds[3:] = np.hypot(FIT_COVARIANCE.model_sd, FIT_COVARIANCE.length_sd * np.exp(-logs[3:]))
     if tight:
         sds = np.maximum(sds, tight_sd)
     else:
-        sds = np.sqrt(sds**2 + (HARD_SD * hard) ** 2 + (HELD_SD * held) ** 2)
-    sds[:3] = np.hypot(sds[:3], ROUGH_SD * (uneven / unknowns.ROUGH) ** 2)
+        sds = np.sqrt(sds**2 + (FIT_COVARIANCE.hard_sd * hard) ** 2 + (FIT_COVARIANCE.held_sd * held) ** 2)
+    sds[:3] = np.hypot(sds[:3], FIT_COVARIANCE.rough_sd * (uneven / unknowns.PRIOR.rough) ** 2)
     return sds
 
 
@@ -94,15 +107,18 @@ def mixed(kept: Array, added: Array, before: Array, after: Array) -> Array:
 
 def model_sd_of(record: Record, point: Array) -> Array:
     """The same, of a record and what was found of it, (n,)."""
-    tight = float(np.mean(np.abs(record.ticks[:, WHEEL_ANGLE]) > TIGHT)) > TIGHT_SHARE
+    tight = (
+        float(np.mean(np.abs(record.ticks[:, WHEEL_ANGLE]) > FIT_COVARIANCE.tight))
+        > FIT_COVARIANCE.tight_share
+    )
     lateral, uneven = math.sqrt(lateral_square(record)), math.exp(point[AT["uneven"]])
     return model_sd(tight, lateral, uneven, point[unknowns.SIX], held=held_share(record))
 
 
 def held_share(record: Record) -> float:
-    """How much of the steering, 0 to 1, stays as it is for HELD_S: the square of the mean wheel angle of such
-    stretches over the mean square of all."""
-    length = min(round(HELD_S / DT), len(record.ticks))
+    """How much of the steering, 0 to 1, stays as it is for `held_s`: the square of the mean wheel angle of
+    such stretches over the mean square of all."""
+    length = min(round(FIT_COVARIANCE.held_s / DT), len(record.ticks))
     whole = record.ticks[: len(record.ticks) // length * length, WHEEL_ANGLE]
     square = float(np.mean(whole**2))
     return float(np.mean(whole.reshape(-1, length).mean(axis=1) ** 2)) / square if square > 0.0 else 0.0
@@ -121,7 +137,7 @@ def published(
     whole = np.zeros((len(NAMES), len(NAMES)))
     whole[np.ix_(search.active, search.active)] = _sandwich(search, covariance, scores)
     factors = np.ones(len(NAMES))
-    factors[unknowns.SIX] = 1.0 + COLOUR_FACTOR * max(autocorrelation, 0.0)
+    factors[unknowns.SIX] = 1.0 + FIT_COVARIANCE.colour_factor * max(autocorrelation, 0.0)
     whole *= np.outer(factors, factors)
     if search.setup.scale == 1.0:
         open_ = search.active[search.active < 6]
@@ -140,15 +156,15 @@ def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
 
 def scores_covariance(search: Search, scores: Array) -> Array:
     """Covariance of a record's summed scores, (a, a), with their correlation over time. scores: (a, m)."""
-    bins = (search.record.rows[:, TICK] * DT / BIN_S).astype(np.int64)
+    bins = (search.record.rows[:, TICK] * DT / FIT_COVARIANCE.bin_s).astype(np.int64)
     sums = np.zeros((len(scores), int(bins[-1]) + 1))
     for row, into in zip(scores, sums, strict=True):
         into += np.bincount(bins, row, minlength=len(into))
     sums = np.asarray(sums - sums.mean(axis=1, keepdims=True), np.float64)
     found: Array = sums @ sums.T
-    for lag in range(1, LAGS + 1):
+    for lag in range(1, FIT_COVARIANCE.lags + 1):
         later = sums[:, lag:] @ sums[:, :-lag].T
-        found = found + (1.0 - lag / (LAGS + 1)) * (later + later.T)
+        found = found + (1.0 - lag / (FIT_COVARIANCE.lags + 1)) * (later + later.T)
     return found
 
 

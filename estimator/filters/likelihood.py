@@ -27,27 +27,39 @@ from tilth.estimator.record.record import (
     R,
     Record,
 )
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
 ROLL_MODES: Final = [AT[f"roll_{of}_{body}"] for of in "kdj" for body in "ti"]  # stiffness, damping, inertia
-DIFFERENCE_STEP: Final = 1e-3  # of the differences, in prior sds, at most STEP_LIMIT
-STEP_LIMIT: Final = 1e-4
-NOISE_TRUST: Final = 0.6
-"""How far any noise level's logarithm may move before its derivatives are renewed: companions are half the
-cost of a run."""
-SETTLING_TICKS: Final = 50
-"""Ticks at the beginning whose rows only initialise the state. The initial covariance must allow any
-manoeuvre; if the first rows counted with it, straight driving would make the tyres look softer than they are,
-by 0.2 sd per window."""
-OTHER_TYRES_SD: Final = np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.6])
-"""Sds of the six logarithms as the ground's shaking alone seems to tell them, less the true ones: errors of
-the model of the ground. The implement's wheels follow the tractor's over the same unevenness, so what pushes
-the implement has been in the tractor's motion before, and the model takes one for the cause of the other: of
-three steps of 30 s the maximum of the likelihood alone has sigma_i 35 % long (16 runs of the planar plant),
-7 % where the implement meets other ground; at 3 m/s in space C_ar is 9, sigma_r 12 and sigma_i 15 % off."""
 
-RUN_AWAY: Final = 1e4  # m, m/s, rad, rad/s over a logarithm: no rig that is steered answers so
+
+@dataclass(frozen=True, slots=True)
+class LikelihoodTuning:
+    """Numerics of the likelihood of a record."""
+
+    difference_step: float = tuned(1e-3, "sd", "of the prior: step of the differences")
+    step_limit: float = tuned(1e-4, "by unknown", "largest step of the differences, in its own unit")
+    noise_trust: float = tuned(0.6, "1", "by which a noise level's logarithm moves until slopes are renewed")
+    """The perturbed filters are half the cost of a run."""
+    settling_ticks: int = tuned(50, "ticks", "at the beginning whose rows only initialise the state")
+    """The initial covariance must allow any manoeuvre; if the first rows counted with it, straight driving
+    would make the tyres look softer than they are, by 0.2 sd per window."""
+    other_tyres_sd: Array = tuned(
+        np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.6]),
+        "1",
+        "sds of the six logarithms as the ground's shaking alone seems to tell them, less the true ones",
+    )
+    """Errors of the model of the ground. The implement's wheels follow the tractor's over the same
+    unevenness, so what disturbs the implement has been in the tractor's motion before, and the model takes
+    one for the cause of the other: of three steps of 30 s the maximum of the likelihood alone has sigma_i 35
+    % long (16 runs of the planar plant), 7 % where the implement meets other ground; at 3 m/s in space C_ar
+    is 9, sigma_r 12 and sigma_i 15 % off."""
+    run_away: float = tuned(1e4, "m, m/s, rad, rad/s", "over a logarithm: no rig that is steered answers so")
+
+
+LIKELIHOOD: Final = LikelihoodTuning()
+
 
 NOTHING: Final = np.zeros(0, dtype=np.int64)  # no unknowns
 NO_READINGS: Final = np.zeros((0, 0))
@@ -75,7 +87,7 @@ class Search:
     @property
     def scored(self) -> Array:
         """(m,), 1.0 for a row whose innovation counts in the likelihood."""
-        return np.where(self.record.rows[:, TICK] >= SETTLING_TICKS, self.used, 0.0)
+        return np.where(self.record.rows[:, TICK] >= LIKELIHOOD.settling_ticks, self.used, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,9 +222,9 @@ def evaluate(
 def with_noise_levels(search: Search, at: Iterate) -> Iterate:
     """The derivatives over the noise levels, renewed unless they are of a point nearby."""
     levels = search.active[~search.of_motion]
-    if len(levels) == 0 or float(np.max(np.abs(at.point - at.noise_point)[levels])) < NOISE_TRUST:
+    if len(levels) == 0 or float(np.max(np.abs(at.point - at.noise_point)[levels])) < LIKELIHOOD.noise_trust:
         return at
-    steps = np.minimum(DIFFERENCE_STEP * search.prior_sd[~search.of_motion], STEP_LIMIT)
+    steps = np.minimum(LIKELIHOOD.difference_step * search.prior_sd[~search.of_motion], LIKELIHOOD.step_limit)
     nearby = np.tile(at.point, (len(levels), 1))
     nearby[np.arange(len(levels)), levels] += steps
     made = _run(search, at.point, nearby=nearby)
@@ -226,7 +238,7 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
     """The derivatives over the six and over stiffness, damping and inertia of the roll modes with what the
     change of the gains does in them, by differences of runs: the gradient is that of the likelihood."""
     de, dS = at.de.copy(), at.dS.copy()
-    steps = np.minimum(DIFFERENCE_STEP * search.prior_sd, STEP_LIMIT)
+    steps = np.minimum(LIKELIHOOD.difference_step * search.prior_sd, LIKELIHOOD.step_limit)
     for k in np.flatnonzero((search.active < 6) | np.isin(search.active, ROLL_MODES)):
         there = _run(search, at.point + steps[k] * np.eye(len(at.point))[search.active[k]])
         de[k], dS[k] = (there.e - at.e) / steps[k], (there.S - at.S) / steps[k]
@@ -236,10 +248,12 @@ def with_gains(search: Search, at: Iterate) -> Iterate:
 def response_to_steering(search: Search, point: Array, places: Places | None = None) -> Array:
     """Derivatives of the open-loop response to the known wheel angles, without measurements, by unknowns at
     `places`, those of the six that are active if None: (m, s). 0 where the open loop runs away, as it may in
-    a sharp turn: such a record tells of tyres by OTHER_TYRES_SD alone."""
+    a sharp turn: such a record tells of tyres by `other_tyres_sd` alone."""
     asked = search.active[search.active < 6] if places is None else places
     instruments = _run(search, point, asked, closed=False).de
-    return instruments if bool(np.all(np.abs(instruments) < RUN_AWAY)) else np.zeros_like(instruments)
+    return (
+        instruments if bool(np.all(np.abs(instruments) < LIKELIHOOD.run_away)) else np.zeros_like(instruments)
+    )
 
 
 def whitened_by_steering(search: Search, point: Array, places: Places) -> tuple[Array, Array]:
@@ -264,11 +278,11 @@ def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:
     here: evaluated with `response_to_steering`, which may be that at a point nearby. It is taken as changes
     of the readings, which pass through the filter at the point; what remains of the derivatives by the six is
     the rig's response to the ground. Its tyres differ from the true ones by errors of the model of the
-    ground, another six unknowns with OTHER_TYRES_SD. They are eliminated (variable projection: Golub and
+    ground, another six unknowns with `other_tyres_sd`. They are eliminated (variable projection: Golub and
     Pereyra 1973), so they take their share of the information but none of what steering tells.
     """
     six = search.active < 6
-    sd = OTHER_TYRES_SD[search.active[six]]
+    sd = LIKELIHOOD.other_tyres_sd[search.active[six]]
     shaken = here.de[six] - here.instrument_response
     weight = search.scored / here.S
     shared = (here.de * weight) @ shaken.T

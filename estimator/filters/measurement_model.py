@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 _BY_KIND: Final = (yaw_rate, velocity, position, position, heading, roll)  # record.YAW_RATE to ROLL_ANGLE
 NOISE_LEVELS: Final = tuple(sensor.NOISE for sensor in _BY_KIND)
-GATES: Final = tuple(sensor.GATE for sensor in _BY_KIND)
+GATES: Final = tuple(sensor.SENSOR.gate for sensor in _BY_KIND)
 
 
 @inner_kernel

@@ -1,6 +1,7 @@
 """Newton's method towards the maximum of a posterior: what all searches for one have in common."""
 
 import math
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -8,12 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters.likelihood import inverse
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 At = TypeVar("At")
 
-FIRST_DAMPING: Final = 1e-3
-MORE: Final = 30.0  # factor on the damping of a step that does not lower the cost
+
+@dataclass(frozen=True, slots=True)
+class NewtonTuning:
+    """How a step that does not lower the cost is damped."""
+
+    first_damping: float = tuned(1e-3, "1", "of the information's diagonal, at the beginning")
+    more: float = tuned(30.0, "1", "factor on the damping of a step that does not lower the cost")
+
+
+NEWTON: Final = NewtonTuning()
 
 
 class NewtonStep(NamedTuple):
@@ -69,7 +79,7 @@ class Rule(NamedTuple):
     less: float  # factor on the damping after a step that lowers the cost
     least: float
     most: float = math.inf  # so much is not tried
-    tries: int = 100  # of a step, each with MORE damping than the one before
+    tries: int = 100  # of a step, each with `more` damping than the one before
     at_once: bool = False  # lessen it only if the first try does
 
 
@@ -109,7 +119,7 @@ def share_of_step(k: int, most: int) -> float:
 
 def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]:
     """The minimum of a problem's cost from a point on, by at most so many damped steps, one or more."""
-    damping, sizes, promised = FIRST_DAMPING, np.zeros(0), math.inf
+    damping, sizes, promised = NEWTON.first_damping, np.zeros(0), math.inf
     for step in range(1, most + 1):
         at, gradient, information = problem.terms(at)
         newton, sds = newton_step(gradient, information)
@@ -130,7 +140,7 @@ def _descend(
     """(step, what is there after it, damping of the next one); None in the second place if no step lowers the
     cost."""
     for tried in range(rule.tries):
-        more = damping * MORE**tried
+        more = damping * NEWTON.more**tried
         if more >= rule.most:
             break
         change, _ = newton_step(gradient, information, damping=more, limits=rule.limits, each=rule.each)

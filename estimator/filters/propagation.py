@@ -7,12 +7,14 @@ constant, they are the joint state, shape (n,).
 """
 
 import math
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, set_wheel_slopes
 from tilth.estimator.filters.states import (
@@ -71,11 +73,23 @@ from tilth.estimator.models.rolling import (
     rates_by_state,
 )
 from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
-EVERY: Final = 3  # ticks for which one set of Jacobians is used; odd, so that the middle of one is theirs
-SLOWEST: Final = 1.0  # m/s: distances along the ground are driven at least as fast
+
+@dataclass(frozen=True, slots=True)
+class PropagationTuning:
+    """How a filter's state is carried on."""
+
+    every: int = tuned(3, "ticks", "with one set of Jacobians; odd, so that the middle of one is theirs")
+
+
+PROPAGATION: Final = PropagationTuning()
+# Kernels read globals; a record is none for them.
+EVERY: Final = PROPAGATION.every
+
+UNDER_WAY: Final = DRIVING.under_way  # distances along the ground are driven at least as fast
 
 # Indices of rolling's inputs and parameters. Of those of two bodies the tractor's; the implement's is next.
 W_DELTA: Final = INPUTS.index("delta")
@@ -354,7 +368,7 @@ def bank_rates(u: float, setup: RigSetup) -> tuple[float, float]:
     with
     which the implement's follows: it gets there when its wheels have come to where the tractor's CG was."""
     behind = setup.geometry[2] + setup.geometry[3] + setup.geometry[4]
-    return max(u, SLOWEST) / BANK_LENGTH, 2.0 * max(u, SLOWEST) / behind
+    return max(u, UNDER_WAY) / BANK_LENGTH, 2.0 * max(u, UNDER_WAY) / behind
 
 
 @kernel
@@ -407,7 +421,7 @@ def set_processes(u: float, ground: GroundNoise, setup: RigSetup, step: Transiti
     for i in range(3):
         decay[X_DISTURBANCE + i] = math.exp(-DT / ground.memory_s)
     for i in range(2):
-        decay[X_UNEVEN + i] = math.exp(-DT * max(u, SLOWEST) / UNEVEN_LENGTH)
+        decay[X_UNEVEN + i] = math.exp(-DT * max(u, UNDER_WAY) / UNEVEN_LENGTH)
     decay[X_PAIR:] = PAIR_DECAY
     decay[X_SPEED] = math.exp(-DT / SPEED_MEMORY_S)
     variances = stationary(ground, setup)

@@ -1,6 +1,7 @@
 """What the filters need from a machine file."""
 
 import math
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -9,22 +10,28 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import unknowns
 from tilth.estimator.models.parameters import Rig, rig_of, static_loads
 from tilth.estimator.once import once_for_a_machine
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
 
-SLOW_SHARE: Final = 0.3  # share of a position's sd that varies slowly and is independent between receivers
+
+@dataclass(frozen=True, slots=True)
+class RigSetupTuning:
+    """What filters assume of a rig beyond its machine file."""
+
+    slow_share: float = tuned(0.3, "1", "of a position's sd, that varies slowly, in each receiver by itself")
+    speed_share: float = tuned(0.4, "1", "sd of the speed over a receiver's: two of them, between fixes")
+    deflection: float = tuned(0.045, "m", "of tyres under their static load")
+    front_deflection: float = tuned(0.06, "m", "same of the front tyres: smaller, and near their rated load")
+    pivot_height: float = tuned(0.7, "m", "of the front wheels' pivot above the ground")
+    damping: float = tuned(0.08, "1", "of the roll modes")
+    gyration: float = tuned(0.48, "1", "radius of gyration in roll, over the track")
+    small: float = tuned(1e-4, "1", "scale of motions for which the model is linear")
 
 
-SPEED_SHARE: Final = 0.4  # sd of the speed over that of a receiver's velocity: two receivers, between fixes
-
-DEFLECTION: Final = 0.045  # m, of tyres under their static load
-FRONT_DEFLECTION: Final = 0.06  # m, the same of the front tyres: smaller, and near their rated load
-PIVOT_HEIGHT: Final = 0.7  # of the front wheels' pin above the ground, m
-DAMPING: Final = 0.08  # of the roll modes
-GYRATION: Final = 0.48  # radius of gyration in roll, over the track
-SMALL: Final = 1e-4  # scale of motions for which the model is linear
+RIG_SETUP: Final = RigSetupTuning()
 
 
 class RollModes(NamedTuple):
@@ -66,20 +73,22 @@ def slow_pair_sd(machine: Machine, body: str) -> float | None:
     if len(pair) != 2:
         return None
     length = math.dist(pair[0].position[:2], pair[1].position[:2])
-    return SLOW_SHARE * math.hypot(*(r.position_sd for r in pair)) / length if length > 0.1 else None
+    return (
+        RIG_SETUP.slow_share * math.hypot(*(r.position_sd for r in pair)) / length if length > 0.1 else None
+    )
 
 
 def nominal_roll(machine: Machine) -> RollModes:
     """What mass, CG and track let expect."""
     rig = rig_of(machine)
     front, rear, implement = static_loads(rig)
-    k_t = rear / DEFLECTION * (rig.w_r / 2) ** 2
-    k_i = implement / DEFLECTION * (rig.w_i / 2) ** 2
-    j_t, j_i = rig.m_t * (GYRATION * rig.w_r) ** 2, rig.m_i * (GYRATION * rig.w_i) ** 2
-    d_t = 2 * DAMPING * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
-    d_i = 2 * DAMPING * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    k_f = front / FRONT_DEFLECTION * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, PIVOT_HEIGHT, k_f)
+    k_t = rear / RIG_SETUP.deflection * (rig.w_r / 2) ** 2
+    k_i = implement / RIG_SETUP.deflection * (rig.w_i / 2) ** 2
+    j_t, j_i = rig.m_t * (RIG_SETUP.gyration * rig.w_r) ** 2, rig.m_i * (RIG_SETUP.gyration * rig.w_i) ** 2
+    d_t = 2 * RIG_SETUP.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
+    d_i = 2 * RIG_SETUP.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
+    k_f = front / RIG_SETUP.front_deflection * (rig.w_f / 2) ** 2
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, RIG_SETUP.pivot_height, k_f)
 
 
 def _heights(machine: Machine, corrected: bool) -> Array:
@@ -98,18 +107,18 @@ def rig_setup(machine: Machine, linear: bool = False) -> RigSetup:
     )
     none = np.zeros(4)
     return setup._replace(
-        rig=low, roll=modes, heights=none, corrected=none, speed_sd=0.0, bank_sd=0.0, scale=SMALL
+        rig=low, roll=modes, heights=none, corrected=none, speed_sd=0.0, bank_sd=0.0, scale=RIG_SETUP.small
     )
 
 
 @once_for_a_machine
 def _setup(machine: Machine) -> RigSetup:
     slow = [slow_pair_sd(machine, body) or 0.0 for body in ("tractor", "implement")]
-    slow.append(SLOW_SHARE * float(np.mean([r.position_sd for r in machine.receiver])))
+    slow.append(RIG_SETUP.slow_share * float(np.mean([r.position_sd for r in machine.receiver])))
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
     return RigSetup(
         unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
         _heights(machine, False), _heights(machine, True),
-        SPEED_SHARE * float(np.mean([r.velocity_sd for r in machine.receiver])),
+        RIG_SETUP.speed_share * float(np.mean([r.velocity_sd for r in machine.receiver])),
     )  # fmt: skip

@@ -30,32 +30,44 @@ from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
-MOST_ITERATIONS: Final = 25
-SMALL_STEP: Final = 0.03  # of a posterior sd: a step this small ends the search
-SLACK: Final = 0.2  # nats by which a step may raise the cost: derivatives with held gains are not exact
-ROUGH_START: Final = 1.5
-"""Added at the start to a disturbance's logarithm whose sd is above 1: a search that begins with rough ground
-does not end in a local minimum."""
+
+@dataclass(frozen=True, slots=True)
+class SearchTuning:
+    """When the search for the maximum goes on, and when it ends."""
+
+    most_iterations: int = tuned(25, "iterations", "of a search")
+    small_step: float = tuned(0.03, "sd", "of the posterior: a step this small ends the search")
+    slack: float = tuned(0.2, "nat", "by which a step may raise the cost: derivatives are not exact")
+    rough_start: float = tuned(1.5, "1", "added at first to a disturbance's logarithm whose sd is above 1")
+    """A search that begins with rough ground does not end in a local minimum."""
+    flat_cost: float = tuned(
+        0.05, "nat", "the search ends if the cost changes by less and `settled_step` holds"
+    )
+    roughly_flat: float = tuned(0.2, "nat", "the same where `_apart` follows")
+    settled_step: float = tuned(0.1, "sd", "of the posterior of the six")
+    arrived_step: float = tuned(0.3, "sd", "of the six: remaining step of a stopped search that converged")
+    steps_apart: int = tuned(8, "steps", "at most, of `_apart`; the later ones are halved: no cost falls")
+    furthest: float = tuned(3.0, "sd", "of any of the six, by which `_apart` may leave the best likelihood")
+    """A relaxation length that has become short enough has no effect any more: sigma_i came out at a tenth in
+    one of 16 fields."""
+    longest_step: float = tuned(0.7, "1", "of a logarithm of the six in one iteration")
+    longest_share: float = tuned(1.5, "sd", "of the prior: the same of all else")
+    empty_promise: float = tuned(
+        2.0, "nat", "a search that ended though its derivatives promise more is stuck"
+    )
+    """They hold the gains. On side slopes one of 40 such fits took all steering for rough ground, 100 nats
+    above the maximum."""
+    tries: int = tuned(4, "tries", "of a step, each with more damping than the one before")
+    least_damping: float = tuned(1e-4, "1", "with which the first try is damped")
+
+
+SEARCH: Final = SearchTuning()
+
 _DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
-FLAT_COST: Final = 0.05  # nats: the search ends if the cost changes by less and the next limit holds as well
-ROUGHLY_FLAT: Final = 0.2  # the same where `_apart` follows
-SETTLED_STEP: Final = 0.1  # of a posterior sd of the six
-ARRIVED_STEP: Final = 0.3
-"""Of a posterior sd of the six: remaining step with which a search that has stopped counts as converged."""
-STEPS_APART: Final = 8  # at most, of `_apart`; the later ones are halved: no cost falls
-FURTHEST: Final = 3.0
-"""Sds of any of the six by which `_apart` may leave the likelihood's maximum. A relaxation length that has
-become short enough has no effect any more: sigma_i came out at a tenth in one of 16 fields."""
-LONGEST_STEP: Final = 0.7  # of a logarithm of the six in one iteration
-LONGEST_SHARE: Final = 1.5  # the same of all else, in prior sds
-EMPTY_PROMISE: Final = 2.0
-"""Nats: a search that has ended though its derivatives promise more than this is stuck, since they hold the
-gains. On side slopes one of 40 such fits took all steering for rough ground, 100 nats above the maximum."""
-TRIES: Final = 4  # of a step
-LEAST_DAMPING: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,15 +98,15 @@ def maximise_posterior(
     search = search_of(record, setup, mean, covariance)
     gain = 0.0 if reference is None else likelihood_at(search, reference) - likelihood_at(search, mean)
     point = mean.copy()
-    point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, ROUGH_START, 0.0)
+    point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, SEARCH.rough_start, 0.0)
     minimum = _minimise(search, evaluate(search, point))
-    stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > EMPTY_PROMISE
+    stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > SEARCH.empty_promise
     if stuck or setup.scale != 1.0:
         # What the ground's shaking tells of a roll mode is not in derivatives with gains held: along them no
         # step may lower the cost. Where `_apart` does not follow, the maximum itself is asked for.
         minimum = _minimise(search, minimum.at, exact=True)
     found, converged = minimum.at, minimum.end is End.SETTLED
-    converged |= minimum.end is End.STUCK and bool(np.max(minimum.sizes) < ARRIVED_STEP)
+    converged |= minimum.end is End.STUCK and bool(np.max(minimum.sizes) < SEARCH.arrived_step)
     _, information = gradient_and_information(search, found, scores_at(search, found))
     counted = information
     if setup.scale == 1.0:
@@ -138,7 +150,7 @@ class _Likelihood(NamedTuple):
         trial = at.point.copy()
         trial[self.search.active] += change
         then = evaluate(self.search, trial, at)
-        return then if np.isfinite(then.cost) and then.cost <= at.cost + SLACK else None
+        return then if np.isfinite(then.cost) and then.cost <= at.cost + SEARCH.slack else None
 
     def taken(self, step: int, at: Iterate) -> Iterate:
         if step != 2 or self.exact:
@@ -148,16 +160,16 @@ class _Likelihood(NamedTuple):
 
     def settled(self, step: int, before: Iterate, at: Iterate, sizes: Array) -> bool:
         """Only the six must be settled: a noise level that has no effect may go to and fro."""
-        limit = ROUGHLY_FLAT if self.search.setup.scale == 1.0 else FLAT_COST
+        limit = SEARCH.roughly_flat if self.search.setup.scale == 1.0 else SEARCH.flat_cost
         six = float(np.max(sizes[self.search.active < 6], initial=0.0))
         flat = abs(at.cost - before.cost) < limit
-        return step > 2 and ((flat and six < SETTLED_STEP) or float(np.max(sizes)) < SMALL_STEP)
+        return step > 2 and ((flat and six < SEARCH.settled_step) or float(np.max(sizes)) < SEARCH.small_step)
 
 
 def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum[Iterate]:
     """The minimum of the cost, from a starting point."""
-    rule = Rule(_step_limits(search), False, 0.2, LEAST_DAMPING, tries=TRIES, at_once=True)
-    return minimise(_Likelihood(search, exact), at, rule, MOST_ITERATIONS)
+    rule = Rule(_step_limits(search), False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True)
+    return minimise(_Likelihood(search, exact), at, rule, SEARCH.most_iterations)
 
 
 def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
@@ -166,25 +178,25 @@ def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
     of_six, limits = search.active < 6, _step_limits(search)
     instruments, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
     found, information = start = apart_from_ground(search, evaluate(search, at.point, at, instruments))
-    for k in range(STEPS_APART):
+    for k in range(SEARCH.steps_apart):
         gradient, _ = gradient_and_information(search, found, scores_at(search, found))
         newton, sds = newton_step(gradient, information, moving=search.of_motion, limits=limits)
-        step = share_of_step(k, STEPS_APART) * newton
+        step = share_of_step(k, SEARCH.steps_apart) * newton
         point = found.point.copy()
         point[search.active] += step
         size, since, moved = (
             float(np.max((np.abs(change) / sds)[of_six], initial=0.0))
             for change in (step, (point - renewed)[search.active], (point - at.point)[search.active])
         )
-        if since > ARRIVED_STEP:
+        if since > SEARCH.arrived_step:
             instruments, renewed = response_to_steering(search, point), point
         there = evaluate(search, point, at, instruments)
         if not math.isfinite(there.cost):
             return *start, False
         found, information = apart_from_ground(search, there)
-        if size < SETTLED_STEP:
+        if size < SEARCH.settled_step:
             break
-    if size < ARRIVED_STEP and moved < FURTHEST:
+    if size < SEARCH.arrived_step and moved < SEARCH.furthest:
         return found, information, True
     return *start, False  # nothing better than the likelihood's maximum is known
 
@@ -196,5 +208,5 @@ def with_gain(found: Posterior, gain: float) -> Posterior:
 
 def _step_limits(search: Search) -> Array:
     """How far one step may go, (a,)."""
-    limits: Array = np.where(search.active < 6, LONGEST_STEP, LONGEST_SHARE * search.prior_sd)
+    limits: Array = np.where(search.active < 6, SEARCH.longest_step, SEARCH.longest_share * search.prior_sd)
     return limits

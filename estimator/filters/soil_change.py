@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.unknowns import ROUGH
+from tilth.estimator.filters.unknowns import PRIOR
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
@@ -21,20 +22,27 @@ DIRECTIONS: Final = np.array(
     [[1, 1, 1, 0, 0, 0], [1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0]], float
 )
 """Directions of a change in the six logarithms: all stiffnesses together, or one of them."""
-CHANGED: Final = 32.0
-"""Twice the logarithm of the likelihood ratio: in 1.6 h of steering over uneven ground
-without a change the largest was 21."""
-ROUGH_SHARE: Final = 4.0
-"""On rough ground the limit rises by this factor times (uneven / unknowns.ROUGH)^4: the side forces wander
-with the loads of the wheels, by shares that go with the square of it. On ground of 3 cm rms the largest ratio
-without a change was 60, on 1 cm 28."""
-LEAST_CHANGE: Final = 0.15  # of a logarithm: the drift follows smaller changes
-MOST_CHANGE: Final = 1.6  # of a logarithm: no soil changes by more than five times
-# largest sd of a logarithm along a direction at the checkpoint, to detect a change of it
-KNOWN_SD: Final = 0.2
-LARGEST_VARIANCES: Final = np.square(KNOWN_SD * DIRECTIONS.sum(axis=1))
-MOST_CHECKPOINTS: Final = 10  # stored, one in CHECKPOINT_SEGMENTS segments: 4 s
-CHECKPOINT_SEGMENTS: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class SoilChangeTuning:
+    """What counts as a change of soil."""
+
+    changed: float = tuned(32.0, "chi^2", "of the likelihood ratio, above which the soil has changed")
+    """In 1.6 h of steering over uneven ground without a change the largest was 21."""
+    rough_share: float = tuned(4.0, "1", "by which the limit rises on rough ground, times (uneven / rough)^4")
+    """The side forces wander with the loads of the wheels, by shares that go with the square of it. On ground
+    of 3 cm rms the largest ratio without a change was 60, on 1 cm 28."""
+    least_change: float = tuned(0.15, "1", "of a logarithm: the drift follows smaller changes")
+    most_change: float = tuned(1.6, "1", "of a logarithm: no soil changes by more than five times")
+    known_sd: float = tuned(0.2, "1", "largest sd of a logarithm before, for its change to be detected")
+    most_checkpoints: int = tuned(10, "checkpoints", "that are stored, 4 s")
+    checkpoint_segments: int = tuned(2, "segments", "between two of them")
+
+
+SOIL_CHANGE: Final = SoilChangeTuning()
+
+LARGEST_VARIANCES: Final = np.square(SOIL_CHANGE.known_sd * DIRECTIONS.sum(axis=1))
 
 
 @dataclass(slots=True)
@@ -55,7 +63,7 @@ class Change:
 
 def limit(uneven: float) -> float:
     """The ratio above which the soil has changed. uneven: sd of how far the ground turns wheels, rad."""
-    return CHANGED * (1.0 + ROUGH_SHARE * (uneven / ROUGH) ** 4)
+    return SOIL_CHANGE.changed * (1.0 + SOIL_CHANGE.rough_share * (uneven / PRIOR.rough) ** 4)
 
 
 def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Array) -> Change | None:
@@ -73,10 +81,12 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     change = mean - np.array([checkpoint.mean for checkpoint in checkpoints])
     score = (weights * change[:, :, None]).sum(axis=1)
     information = (weights * (DIRECTIONS.T - covariance @ weights)).sum(axis=1)
-    valid = known & (np.abs(score) > LEAST_CHANGE * information) & (information > 0.0)
+    valid = known & (np.abs(score) > SOIL_CHANGE.least_change * information) & (information > 0.0)
     if not valid.any():
         return None
-    likeliest = np.clip(score / np.where(valid, information, 1.0), -MOST_CHANGE, MOST_CHANGE)
+    likeliest = np.clip(
+        score / np.where(valid, information, 1.0), -SOIL_CHANGE.most_change, SOIL_CHANGE.most_change
+    )
     ratio = np.where(valid, likeliest * (2.0 * score - likeliest * information), 0.0)
     k, d = np.unravel_index(np.argmax(ratio), ratio.shape)
     return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d])

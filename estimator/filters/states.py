@@ -11,12 +11,15 @@ errors of the receivers, by what is around them and so not turning with a body: 
 length (m/m), and of the implement's antennas relative to the tractor's (m), each to north and to east."""
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.models import rolling_terms
+from tilth.estimator.record.record import TICK_NS
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -44,21 +47,43 @@ X_POSITION: Final = STATES.index("north")  # then east
 X_PAIR: Final = STATES.index("pair_t_north")  # of the tractor to north and to east, then of the implement
 X_LATERAL_OFFSET: Final = STATES.index("offset_north")  # then to east
 
-DT: Final = 0.02  # s, of a tick
-PAIR_MEMORY_S: Final = 20.0
-SPEED_MEMORY_S: Final = 1.0
-"""Noise of a speed lasts a quarter of a second, what a turn adds to it as long as the turn: between."""
-PAIR_DECAY: Final = math.exp(-DT / PAIR_MEMORY_S)
-ALONG: Final = 0.01  # m per sqrt(s), what the speed's error adds to the way
-ACROSS: Final = 0.003  # m per sqrt(s), the slow error that all receivers share
-START: Final = (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.02, 0.01, 0.05, 0.02, 0.05, 0.05)
-"""Sds of the states before X_DISTURBANCE, at first."""
-START_PLACE: Final = 1.0  # m
-BANK_LENGTH: Final = 20.0
-"""m, over which the cross slope changes: time constant of a critically damped process. With 6 m a slope all
-the way was taken for zero errors of roll and for antennas aside, and what wheels do on uneven ground for
-slope: sigma_i of the tracker came out 8 % long, with 20 m or more 4 %."""
-BANK_DIFFERENCE: Final = 0.05
-"""Sd of what the implement's cross slope has of its own, over that of the tractor's."""
-INITIAL_BANK_DIFFERENCE: Final = 0.5  # the same where a run begins: perhaps in a turn on a slope
-UNEVEN_LENGTH: Final = 1.5  # m
+DT: Final = TICK_NS * 1e-9  # s
+
+
+@dataclass(frozen=True, slots=True)
+class StateTuning:
+    """What the states of the filters are assumed to do."""
+
+    pair_memory_s: float = tuned(20.0, "s", "for which the slow error of an antenna pair lasts")
+    speed_memory_s: float = tuned(1.0, "s", "for which the error of the measured speed lasts")
+    """Noise of a speed lasts a quarter of a second, what a turn adds to it as long as the turn: between."""
+    along: float = tuned(0.01, "m/s^0.5", "what the speed's error adds to the way")
+    across: float = tuned(0.003, "m/s^0.5", "the slow error that all receivers share")
+    start: tuple[float, ...] = tuned(
+        (0.4, 0.1, 0.1, 0.1, 0.1, 0.1, 0.02, 0.01, 0.05, 0.02, 0.05, 0.05),
+        "m/s, rad/s, rad",
+        "sds at first, of the states before the disturbance forces",
+    )
+    start_place: float = tuned(1.0, "m", "the same of the position")
+    bank_length: float = tuned(20.0, "m", "over which the bank angle of the ground changes")
+    """Time constant of a critically damped process. With 6 m a slope all the way was taken for zero errors of
+    roll and for lateral offsets of antennas, and what wheels do on uneven ground for slope: sigma_i of the
+    tracker came out 8 % long, with 20 m or more 4 %."""
+    bank_difference: float = tuned(0.05, "1", "sd of the implement's own bank angle, over the tractor's")
+    initial_bank_difference: float = tuned(0.5, "1", "same where a run begins: perhaps turning on a slope")
+    uneven_length: float = tuned(1.5, "m", "over which unevenness changes")
+
+
+STATE: Final = StateTuning()
+# Kernels read globals; a record is none for them.
+SPEED_MEMORY_S: Final = STATE.speed_memory_s
+ALONG: Final = STATE.along
+ACROSS: Final = STATE.across
+START: Final = STATE.start
+START_PLACE: Final = STATE.start_place
+BANK_LENGTH: Final = STATE.bank_length
+BANK_DIFFERENCE: Final = STATE.bank_difference
+INITIAL_BANK_DIFFERENCE: Final = STATE.initial_bank_difference
+UNEVEN_LENGTH: Final = STATE.uneven_length
+
+PAIR_DECAY: Final = math.exp(-DT / STATE.pair_memory_s)

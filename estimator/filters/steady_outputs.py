@@ -11,6 +11,7 @@ in line, which is close enough for what is left of it. Measured roll is cross sl
 solved for, and the rest is slope.
 """
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, driven_by, 
 from tilth.estimator.filters.states import N_STATES, X_ALPHA, X_BANK, X_PSI, X_R, X_ROLL, X_SPEED, X_V
 from tilth.estimator.filters.transition import Transition, empty_transition
 from tilth.estimator.record.steady_driving import SteadySample
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import GRAVITY
 
@@ -46,9 +48,19 @@ INPUTS: Final = ("u", "wheel_angle", "roll_t", "roll_i", "folding")
 """m/s; rad, as the sensor reads it; measured rolls, rad; rate of the articulation, rad/s."""
 OUTPUTS: Final = ("yaw_rate", "articulation", "lateral_velocity")
 KERNELS: Final = (driven_by, set_plant, rate_jacobians, set_wheel_slopes)  # that the functions below call
-MOST_STEPS: Final = 20  # of Newton's method; it takes four or five
-LONGEST_STEP: Final = 0.5  # m/s, rad/s or rad
-EXACT: Final = 1e-9  # m/s, rad/s, rad: a step so small is the last
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyOutputsTuning:
+    """Newton's method for steady motions."""
+
+    most_steps: int = tuned(20, "steps", "it takes four or five")
+    longest_step: float = tuned(0.5, "m/s, rad/s, rad", "of one state")
+    exact: float = tuned(1e-9, "m/s, rad/s, rad", "a step so small is the last")
+
+
+STEADY_OUTPUTS: Final = SteadyOutputsTuning()
+
 
 AT: Final = {name: k for k, name in enumerate(CONSTANTS)}
 PLACES: Final = np.array([unknowns.AT[name] for name in CONSTANTS])
@@ -107,14 +119,14 @@ def _imbalance(model: _Model) -> tuple[Array, Array, Array]:
 def _solved(point: Array, inputs: Array, machine: Machine) -> tuple[_Model, Array, Array]:
     """(The model in its steady turn, slopes as of `_imbalance`). Raises as `outputs`."""
     model = _model(point, inputs, machine)
-    for _ in range(MOST_STEPS):
+    for _ in range(STEADY_OUTPUTS.most_steps):
         left, by_turn, by_rolls = _imbalance(model)
         step = np.linalg.solve(by_turn, left)
         longest = float(np.abs(step).max())
         if not np.isfinite(longest):
             break
-        model.x[TURN] -= step * min(1.0, LONGEST_STEP / max(longest, EXACT))
-        if longest < EXACT:
+        model.x[TURN] -= step * min(1.0, STEADY_OUTPUTS.longest_step / max(longest, STEADY_OUTPUTS.exact))
+        if longest < STEADY_OUTPUTS.exact:
             return model, by_turn, by_rolls
     raise np.linalg.LinAlgError("no steady turn was found")
 

@@ -20,19 +20,42 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.states import DT
 from tilth.estimator.models.relaxation import input_matrix, system_matrix
 from tilth.estimator.models.steady_turn import steady_turn
-from tilth.estimator.record.record import EAST, HEADING, NORTH, TICK_NS, YAW_RATE, Record
+from tilth.estimator.record.record import EAST, HEADING, NORTH, YAW_RATE, Record
+from tilth.estimator.record.steady_driving import STEADY_DRIVING
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.rig.residuals import pair_of
+from tilth.estimator.tuning import tuned
 from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
-WEIGHTS: Final = (4.0, 1.0)  # w_r, w_lambda of 7.15
-EVERY: Final = 10  # ticks between two samples of the outputs: the dissertation's receivers had 5 Hz
-DT: Final = TICK_NS * 1e-9
+
+@dataclass(frozen=True, slots=True)
+class TwoStepFitTuning:
+    """The dissertation's two-step fit."""
+
+    weights: tuple[float, ...] = tuned((4.0, 1.0), "1", "w_r, w_lambda of 7.15")
+    every: int = tuned(10, "ticks", "between two samples: the dissertation's receivers had 5 Hz")
+    first_gain: float = tuned(0.3, "1", "of each output on its own state, in the search for K")
+    search_range: float = tuned(2.0, "1", "a logarithm is sought within ± this of its start")
+    settling_lengths: float = tuned(6.0, "1", "in lengths d + e, for the implement to fall in line")
+    turning: float = tuned(math.radians(1.0), "rad", "least wheel angle of a turn that is used")
+    straight: float = tuned(0.01, "rad/s", "largest yaw rate of straight driving")
+    least_samples: int = tuned(10, "samples", "of steady turning, 2 s")
+    rank_tolerance: float = tuned(
+        0.02, "1", "of the largest singular value: less is a direction not observed"
+    )
+    singular_floor: float = tuned(1e-6, "1", "of the largest singular value: smaller ones are raised to it")
+    diverged: float = tuned(1e4, "1", "a state, or a scaled error, of a predictor that has become unstable")
+    most_passes: int = tuned(60, "passes", "of the search for K")
+
+
+TWO_STEP_FIT: Final = TwoStepFitTuning()
+
 PREDICTOR_STATES: Final = (
     0,
     1,
@@ -44,17 +67,6 @@ PREDICTOR_STATES: Final = (
     8,
 )  # of relaxation.STATES: those of 7.9, without the lateral position
 OUTPUT_STATES: Final = (1, 2, 6, 7)  # of these: yaw rates and headings, the outputs of 7.18
-FIRST_GAIN: Final = 0.3  # initial gain of each output on its own state, in the search for K
-SEARCH_RANGE: Final = 2.0  # a logarithm is sought within ± this of its start
-STEER_RANGE: Final = math.radians(1.2)  # of the wheel angle while the rig becomes steady
-SETTLING_LENGTHS: Final = 6.0  # in lengths d + e, for the implement to fall in line
-TURNING: Final = math.radians(1.0)  # least wheel angle of a turn that is used
-STRAIGHT: Final = 0.01  # rad/s: largest yaw rate of straight driving
-LEAST_SAMPLES: Final = 10  # of steady turning, 2 s
-RANK_TOLERANCE: Final = 0.02  # of the largest singular value: a direction with less is not observed
-SINGULAR_FLOOR: Final = 1e-6  # of the largest singular value: smaller ones are raised to it
-DIVERGED: Final = 1e4  # a state, or a scaled error, of a predictor that has become unstable
-MOST_PASSES: Final = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +95,7 @@ class TwoStep:
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """A record's inputs at all ticks and its outputs at each EVERY-th."""
+    """A record's inputs at all ticks and its outputs at each `every`-th."""
 
     wheel: Array  # [n] rad, zero error subtracted
     u: Array  # [n] m/s
@@ -116,12 +128,12 @@ def identify(window: Window) -> TwoStep:
     start = window.start
     if outputs is None:
         return _not_found(start, 0.0, 0.0, Code.OUTPUTS_NOT_MEASURED)
-    straight = np.abs(outputs.y[:, 0]) < STRAIGHT
+    straight = np.abs(outputs.y[:, 0]) < TWO_STEP_FIT.straight
     zero = float(outputs.wheel[outputs.at[straight]].mean()) if straight.any() else 0.0
     outputs.wheel[:] -= zero
-    straight_s = float(straight.sum() * EVERY * DT)
+    straight_s = float(straight.sum() * TWO_STEP_FIT.every * DT)
     steady = _steady_indices(outputs, window.geometry)
-    if len(steady) < LEAST_SAMPLES:
+    if len(steady) < TWO_STEP_FIT.least_samples:
         return _not_found(start, zero, straight_s, Code.NO_STEADY_TURN)
     stiffness, sd_stiffness, rank, within = _stiffnesses(outputs, steady, window)
     theta = np.concatenate([stiffness, start[3:]])
@@ -134,7 +146,7 @@ def identify(window: Window) -> TwoStep:
         rank=rank,
         zero=zero,
         straight_s=straight_s,
-        steady_s=float(len(steady) * EVERY * DT),
+        steady_s=float(len(steady) * TWO_STEP_FIT.every * DT),
         reason=reason,
     )
 
@@ -150,7 +162,7 @@ def _outputs(window: Window) -> Outputs | None:
     """
     record = window.record
     ticks, rows = record.ticks, record.rows
-    at = np.arange(0, len(ticks), EVERY)
+    at = np.arange(0, len(ticks), TWO_STEP_FIT.every)
     columns = [*(_yaw_rate(rows, body, at) for body in (0, 1))]
     columns += [_heading(rows, body, at, window.levers, ticks[at, 2 + body]) for body in (0, 1)]
     found = [column for column in columns if column is not None]
@@ -191,13 +203,13 @@ def _heading(rows: Array, body: int, at: NDArray[np.int64], levers: Array, near:
 def _steady_indices(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:
     """Indices into outputs.y of the steady turn, where the wheel angle has been constant for long enough."""
     settling_ticks = math.ceil(
-        SETTLING_LENGTHS * float(geometry[3] + geometry[4]) / float(outputs.u.mean()) / DT
+        TWO_STEP_FIT.settling_lengths * float(geometry[3] + geometry[4]) / float(outputs.u.mean()) / DT
     )
     chosen = []
     for k, tick in enumerate(outputs.at):
         recent = outputs.wheel[max(tick - settling_ticks, 0) : tick + 1]
-        still = len(recent) > settling_ticks and float(np.ptp(recent)) < STEER_RANGE
-        if still and abs(float(recent[-1])) > TURNING:
+        still = len(recent) > settling_ticks and float(np.ptp(recent)) < STEADY_DRIVING.steer_range
+        if still and abs(float(recent[-1])) > TWO_STEP_FIT.turning:
             chosen.append(k)
     return np.array(chosen, dtype=np.int64)
 
@@ -205,7 +217,7 @@ def _steady_indices(outputs: Outputs, geometry: Array) -> NDArray[np.int64]:
 def _stiffnesses(
     outputs: Outputs, steady: NDArray[np.int64], window: Window
 ) -> tuple[Array, Array, int, bool]:
-    """(C_af, C_ar, C_ai; their sds; rank; whether within SEARCH_RANGE): the minimum of 7.15, over logarithms.
+    """(C_af, C_ar, C_ai; their sds; rank; whether within the search): the minimum of 7.15, over logarithms.
 
     Speed and roll vary a little and so give a little information on the third number. That decides where on
     the line of equally good solutions it ends.
@@ -213,7 +225,7 @@ def _stiffnesses(
     g, ticks, n = window.geometry, outputs.at[steady], np.ones(len(steady))
     rolls = window.record.ticks[ticks, 6:8]
     measured = np.column_stack([outputs.y[steady, 0], outputs.y[steady, 2] - outputs.y[steady, 3]])
-    scale = np.sqrt(np.array(WEIGHTS) / len(steady))
+    scale = np.sqrt(np.array(TWO_STEP_FIT.weights) / len(steady))
 
     def residuals(logs: Array) -> Array:
         fixed = [value * n for value in (*np.exp(logs), g[5], g[6])]
@@ -225,16 +237,19 @@ def _stiffnesses(
     from scipy.optimize import least_squares  # importing it takes half a second, so only where it is needed
 
     found = least_squares(
-        residuals, start_logs, bounds=(start_logs - SEARCH_RANGE, start_logs + SEARCH_RANGE), x_scale="jac"
+        residuals,
+        start_logs,
+        bounds=(start_logs - TWO_STEP_FIT.search_range, start_logs + TWO_STEP_FIT.search_range),
+        x_scale="jac",
     )
     values = np.exp(found.x)
     _, singular, directions = np.linalg.svd(found.jac, full_matrices=False)
     variance = 2 * found.cost / max(found.fun.size - 3, 1)
     # Along the line the sd must be practically infinite, not zero.
-    root = directions.T / np.maximum(singular, SINGULAR_FLOOR * singular[0])
+    root = directions.T / np.maximum(singular, TWO_STEP_FIT.singular_floor * singular[0])
     sd = np.sqrt(np.sum(root**2, axis=1) * variance)
-    within = bool(np.all(np.abs(found.x - start_logs) < 0.99 * SEARCH_RANGE))
-    return values, values * sd, int(np.sum(singular > RANK_TOLERANCE * singular[0])), within
+    within = bool(np.all(np.abs(found.x - start_logs) < 0.99 * TWO_STEP_FIT.search_range))
+    return values, values * sd, int(np.sum(singular > TWO_STEP_FIT.rank_tolerance * singular[0])), within
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,12 +272,12 @@ def _discretise(outputs: Outputs, geometry: Array, theta: Array) -> _Discrete:
         held = held + factor * DT / (order + 1) * power
     inputs = np.column_stack([outputs.wheel, outputs.gravity])
     middles = (inputs[:-1] + inputs[1:]) / 2
-    n = (len(outputs.at) - 1) * EVERY
-    input_effect = (middles[:n] @ (held @ b).T).reshape(-1, EVERY, 8)
+    n = (len(outputs.at) - 1) * TWO_STEP_FIT.every
+    input_effect = (middles[:n] @ (held @ b).T).reshape(-1, TWO_STEP_FIT.every, 8)
     sample_effect = np.zeros((len(input_effect), 8))
-    for j in range(EVERY):
+    for j in range(TWO_STEP_FIT.every):
         sample_effect = sample_effect @ F.T + input_effect[:, j]
-    return _Discrete(np.linalg.matrix_power(F, EVERY), sample_effect)
+    return _Discrete(np.linalg.matrix_power(F, TWO_STEP_FIT.every), sample_effect)
 
 
 def _errors(
@@ -280,12 +295,12 @@ def _errors(
         e = errors[:, k] = y - x[:, OUTPUT_STATES]
         if k < len(outputs.y) - 1:
             x = np.einsum("qij,qj->qi", transitions, x + np.einsum("qij,qj->qi", gains, e))
-            x = np.clip(x + input_effect[which, k], -DIVERGED, DIVERGED)
+            x = np.clip(x + input_effect[which, k], -TWO_STEP_FIT.diverged, TWO_STEP_FIT.diverged)
     return errors
 
 
 def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tuple[Array, Array, bool]:
-    """(sigma_f, sigma_r, sigma_i; their sds; whether within SEARCH_RANGE).
+    """(sigma_f, sigma_r, sigma_i; their sds; whether within `search_range`).
 
     43 numbers are sought: the logarithms of the three, K (8 x 4) and the first state. Each output is weighted
     by the sd of its errors at the first gain.
@@ -294,7 +309,7 @@ def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tupl
     first = np.zeros(8)
     first[list(OUTPUT_STATES)] = outputs.y[0]
     gain = np.zeros((8, 4))
-    gain[OUTPUT_STATES, range(4)] = FIRST_GAIN
+    gain[OUTPUT_STATES, range(4)] = TWO_STEP_FIT.first_gain
     point = np.concatenate([start_logs, gain.ravel(), first])
     difference_steps = np.concatenate([np.full(3, 1e-4), np.full(40, 1e-5)])
 
@@ -315,7 +330,7 @@ def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tupl
         return np.asarray(((e[1:] - e[0]) / difference_steps[:, None]).T)
 
     derivative: Any = slopes  # the type stubs of scipy allow only names here
-    search_range = np.concatenate([np.full(3, SEARCH_RANGE), np.full(40, np.inf)])
+    search_range = np.concatenate([np.full(3, TWO_STEP_FIT.search_range), np.full(40, np.inf)])
     from scipy.optimize import least_squares  # as above
 
     found = least_squares(
@@ -324,10 +339,14 @@ def _relaxation_lengths(outputs: Outputs, geometry: Array, theta: Array) -> tupl
         jac=derivative,
         bounds=(point - search_range, point + search_range),
         x_scale="jac",
-        max_nfev=MOST_PASSES,
+        max_nfev=TWO_STEP_FIT.most_passes,
     )
     logs = found.x[:3]
     degrees = max(found.fun.size - found.x.size, 1)
     inverse = np.linalg.pinv(found.jac.T @ found.jac)
     sd = np.sqrt(np.maximum(np.diag(inverse)[:3], 0.0) * 2 * found.cost / degrees)
-    return np.exp(logs), np.exp(logs) * sd, bool(np.all(np.abs(logs - start_logs) < 0.99 * SEARCH_RANGE))
+    return (
+        np.exp(logs),
+        np.exp(logs) * sd,
+        bool(np.all(np.abs(logs - start_logs) < 0.99 * TWO_STEP_FIT.search_range)),
+    )

@@ -6,6 +6,7 @@ A Gaussian over this vector is the prior and the posterior of a fit.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated, Final, NamedTuple
 
@@ -17,6 +18,7 @@ from tilth.estimator.models.parameters import GEOMETRY, geometry_of
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Implement, Machine, Tractor
 
@@ -80,7 +82,7 @@ def _roll_zero(mount: Mount) -> Callable[[Machine], Prior]:
         for receiver in machine.receiver:
             if receiver.mount is mount:
                 told = receiver.roll_zero
-                return 0.0, ROLL_ZERO_SD if told is None else math.radians(told.sd)
+                return 0.0, PRIOR.roll_zero_sd if told is None else math.radians(told.sd)
         return 0.0, 0.0
 
     return found
@@ -122,11 +124,22 @@ _PAIR_SD = _of_body(lambda m, of, body: math.hypot(math.radians(body.pair_yaw_sd
 _LEVER_SD = _of_body(lambda m, of, body: _survey(m, of) if body.lever_sd is None else body.lever_sd)
 _CG_SD = _of_body(lambda m, of, body: body.cg_sd)
 
-ROLL_ZERO_SD: Final = 0.01  # rad: zero errors of up to a degree
-LEAST_CURVATURE: Final = 1e-3
-DISTURBANCE: Final = (0.15, 0.15, 0.03)  # m/s^2, rad/s^2: forces of a hundredth or two of the weight
-UNEVEN: Final = 0.006  # rad
-ROUGH: Final = 0.01  # rad: such ground, about 3 cm rms, makes the loads of the wheels come and go
+
+@dataclass(frozen=True, slots=True)
+class UnknownsTuning:
+    """What is known of the unknowns beyond the machine file."""
+
+    roll_zero_sd: float = tuned(0.01, "rad", "zero errors of up to a degree")
+    least_curvature: float = tuned(1e-3, "1", "of a tyre's curve")
+    disturbance: tuple[float, ...] = tuned(
+        (0.15, 0.15, 0.03), "m/s^2, m/s^2, rad/s^2", "a hundredth or two of the weight"
+    )
+    uneven: float = tuned(0.006, "rad", "unevenness of usual ground")
+    rough: float = tuned(0.01, "rad", "such ground, some 3 cm rms, makes the loads of the wheels come and go")
+
+
+PRIOR: Final = UnknownsTuning()
+
 ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
 
 UNKNOWNS: Final = (
@@ -216,7 +229,7 @@ UNKNOWNS: Final = (
     ),
     Unknown(  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
         "curvature", "1 over the largest side force over load: 0 is a linear tyre", _constant(1.0, 0.6),
-        _VALUE, "curvature", LEAST_CURVATURE, linear=True, needs_steering=True,
+        _VALUE, "curvature", PRIOR.least_curvature, linear=True, needs_steering=True,
     ),
     Unknown(
         "parallel", "how far the front wheels turn by the same angle: 0 towards one centre, 1 in parallel",
@@ -229,11 +242,11 @@ UNKNOWNS: Final = (
     ),
     # Natural logarithms of noise levels. Pushes last as a first-order Gauss-Markov process does, white where
     # that is less than a tick; waves of 1 to 20 m come by in 0.2 to 4 s.
-    Unknown("push_t", "sd of how the ground pushes across the tractor, m/s^2", _level(DISTURBANCE[0], 1.2)),
-    Unknown("push_i", "the same, implement", _level(DISTURBANCE[1], 1.2)),
-    Unknown("push_yaw", "sd of how it turns the tractor, rad/s^2", _level(DISTURBANCE[2], 1.2)),
+    Unknown("push_t", "the ground's force across the tractor, m/s^2", _level(PRIOR.disturbance[0], 1.2)),
+    Unknown("push_i", "the same, implement", _level(PRIOR.disturbance[1], 1.2)),
+    Unknown("push_yaw", "sd of how it turns the tractor, rad/s^2", _level(PRIOR.disturbance[2], 1.2)),
     Unknown("memory", "how long a push lasts, s", _level(0.1, 1.0)),
-    Unknown("uneven", "sd of how far uneven ground turns a body's wheels, rad", _level(UNEVEN, 1.2)),
+    Unknown("uneven", "sd of how far uneven ground turns a body's wheels, rad", _level(PRIOR.uneven, 1.2)),
     Unknown("s_yaw_rate", "factor on the sd that the machine file states", _level(1.0, 0.5)),
     Unknown("s_velocity", "the same of velocities", _level(1.0, 0.5)),
     Unknown("s_position", "the same of positions and headings", _level(1.0, 0.5)),

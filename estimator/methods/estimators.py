@@ -92,7 +92,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        fitting=Fitting(pem.LATENCY_NS, pem.request_fit, pem.fit, pem.rehearse, pem.adopt, pem.finish),
+        fitting=Fitting(pem.PEM.latency_ns, pem.request_fit, pem.fit, pem.rehearse, pem.adopt, pem.finish),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(
@@ -103,7 +103,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         two_step.estimate,
         two_step.clock_stepped,
         fitting=Fitting(
-            two_step.LATENCY_NS,
+            two_step.TWO_STEP.latency_ns,
             two_step.request_fit,
             two_step.fit,
             two_step.rehearse,

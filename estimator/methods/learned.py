@@ -12,11 +12,21 @@ from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods.pem import PemState, drifted
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
 
-LARGEST_SHARE: Final = 0.95  # of a sd, that errors of the model make of it
+
+@dataclass(frozen=True, slots=True)
+class LearnedTuning:
+    """What a fit leaves for the next."""
+
+    largest_share: float = tuned(0.95, "1", "of a sd, that errors of the model make of it")
+
+
+LEARNED: Final = LearnedTuning()
+
 _MODEL_SDS: Final = tuple(f"model_sd_{name}" for name in PARAMETERS)
 
 
@@ -77,7 +87,7 @@ def into_pem(state: PemState, learned: Learned) -> None:
     state.window_s = _counted(learned, "window_s")
     # The covariance has them in it; taken for noise, they would average out in the windows to come.
     model_sd = np.array([max(_counted(learned, name), 0.0) for name in _MODEL_SDS])
-    state.model_sd = np.minimum(model_sd, LARGEST_SHARE * np.sqrt(np.diag(learned.covariance)[SIX]))
+    state.model_sd = np.minimum(model_sd, LEARNED.largest_share * np.sqrt(np.diag(learned.covariance)[SIX]))
 
 
 def _counted(learned: Learned, name: str) -> float:

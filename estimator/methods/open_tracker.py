@@ -21,27 +21,37 @@ from tilth.estimator.methods import tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
+from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
 PLACES: Final = [AT[name] for name in NAMES]
-TYRE_LOG_SD: Final = 0.7  # smallest prior sd of each of the six logarithms
-MEMORY: Final = 2400.0  # segments that were learned from (8 min) over which the result is forgotten
-SOIL_MEMORY: Final = 500.0  # the same of the six (100 s): soil differs from place to place
-WIDE_LOOK_S: Final = 60.0
-"""Seconds of steering after which the slopes are by steering, as the tracker's are from the start. Gross
-errors show sooner with all that a drive tells. But slopes at the estimated state are correlated with what
-they are compared with: tyres come out softer the longer one drives, and lengths and the wheels' scale make up
-for it. After four minutes in space two of eight right files were doubted (tractor.a + 0.8 m). In sharp turns
-they stay at the estimated state: steering alone would have a rig whose numbers are off elsewhere, and 8 of 20
-right files were doubted in fields."""
-ROUGH: Final = 0.007  # rad
-"""Unevenness above which what is found may be a divergence: on ground of 3 cm rms it found inertias twice as
-large, or the front axle at the CG, in 4 of 40 drives with right files, at 0.008 to 0.016. On 1 cm it is at
-most 0.006, with wrong files too."""
-OUTLIER_SEGMENTS: Final = 100  # the last ones, among whose rows outliers are counted
+
+
+@dataclass(frozen=True, slots=True)
+class OpenTrackerTuning:
+    """What is learned of the machine file's numbers while all of them are open."""
+
+    tyre_log_sd: float = tuned(0.7, "1", "smallest prior sd of each of the six logarithms")
+    memory: float = tuned(2400.0, "segments", "learned from (8 min), over which the result is forgotten")
+    soil_memory: float = tuned(500.0, "segments", "same of the six (100 s): soil differs from place to place")
+    wide_look_s: float = tuned(60.0, "s", "of steering, after which slopes are by steering, as in tracker")
+    """Gross errors show sooner with all that a drive tells. But slopes at the estimated state are correlated
+    with what they are compared with: tyres come out softer the longer one drives, and lengths and the wheels'
+    scale make up for it. After four minutes in space two of eight right files were doubted (tractor.a + 0.8
+    m). In sharp turns they stay at the estimated state: steering alone would have a rig whose numbers are off
+    elsewhere, and 8 of 20 right files were doubted in fields."""
+    rough: float = tuned(0.007, "rad", "unevenness above which what is found may be a divergence")
+    """On ground of 3 cm rms it found inertias twice as large, or the front axle at the CG, in 4 of 40 drives
+    with right files, at 0.008 to 0.016. On 1 cm it is at most 0.006, with wrong files too."""
+
+    outlier_segments: int = tuned(100, "segments", "the last ones, among whose rows outliers are counted")
+
+
+OPEN_TRACKER: Final = OpenTrackerTuning()
+
 _STEERED: Final = [*NEED_STEERING, *(AT[row.name] for row in OPEN if not row.in_rows)]
 
 
@@ -60,7 +70,7 @@ def initial(machine: Machine) -> OpenTracker:
     sd = state.prior_sd
     for row in OPEN:
         sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
-    sd[SIX] = np.maximum(sd[SIX], TYRE_LOG_SD)
+    sd[SIX] = np.maximum(sd[SIX], OPEN_TRACKER.tyre_log_sd)
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
@@ -79,7 +89,7 @@ def observe(state: OpenTracker, machine: Machine, segment: Segment | None) -> Op
         learned = _take(state.tracker, machine, segment)
         state.learned += learned
         if learned or state.tracker.reason is Code.HELD:
-            state.rows = [*state.rows, _rejected_rows(state.tracker)][-OUTLIER_SEGMENTS:]
+            state.rows = [*state.rows, _rejected_rows(state.tracker)][-OPEN_TRACKER.outlier_segments :]
     return OpenEvidence(
         misfit(state.tracker, machine), _at_first(machine), state.learned, _rejected(state.rows),
         is_rough(state.tracker),
@@ -100,7 +110,7 @@ def _at_first(machine: Machine) -> Misfit:
 def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
     """Returns whether all open numbers were learned from it."""
     gentle = state.pending is not None and not tracker.is_tight(state, state.pending)  # what is learned now
-    state.by_steering = gentle and state.window_s >= WIDE_LOOK_S
+    state.by_steering = gentle and state.window_s >= OPEN_TRACKER.wide_look_s
     tracker.take_segment(state, machine, segment)
     state.events.clear()
     state.checkpoints.clear()  # only the tracker itself detects changes of soil
@@ -112,7 +122,7 @@ def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
 
 def _fade(state: TrackerState) -> None:
     """Drift the posterior towards the prior: a receiver may be moved in the middle of a day."""
-    for places, memory in ((PLACES, MEMORY), (list(range(6)), SOIL_MEMORY)):
+    for places, memory in ((PLACES, OPEN_TRACKER.memory), (list(range(6)), OPEN_TRACKER.soil_memory)):
         share = math.exp(-1.0 / memory)
         drift(state.covariance, np.array(places), share, state.prior_sd)
         state.P_xtheta[:, places] *= share
@@ -126,12 +136,12 @@ def misfit(state: TrackerState, machine: Machine) -> Misfit:
 
 def is_rough(state: TrackerState) -> bool:
     """Whether the ground is so uneven that the result may be a divergence."""
-    return math.sqrt(state.disturbance[3]) > ROUGH
+    return math.sqrt(state.disturbance[3]) > OPEN_TRACKER.rough
 
 
 def _rejected(rows: list[tuple[float, float]]) -> float:
     """Share of outliers among the recent measurements, 0 before there are enough."""
-    if len(rows) < OUTLIER_SEGMENTS // 2:
+    if len(rows) < OPEN_TRACKER.outlier_segments // 2:
         return 0.0
     refused, every = (rows[-1][k] - rows[0][k] for k in (0, 1))
     return refused / every if every > 0 else 0.0

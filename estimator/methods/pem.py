@@ -1,7 +1,7 @@
 """Prediction error minimisation over windows of driving: all six parameters by maximum likelihood.
 
 A window is driving with steering, up to 30 s (record/windows.py). When it is complete, a fit is requested
-(`request_fit`). It is computed elsewhere (`fit`, a pure function) and adopted LATENCY_NS of the log's time
+(`request_fit`). It is computed elsewhere (`fit`, a pure function) and adopted `latency_ns` of the log's time
 later, or when it is ready if that is later still; the next window waits for it. The posterior of one window,
 drifted over the distance since then, is the prior of the next. So each window enters once, with its full
 likelihood.
@@ -14,7 +14,7 @@ fitted.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +28,9 @@ from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
 from tilth.estimator.record.windows import OPEN, close_window, collect, late_reason, refuse
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
-from tilth.estimator.results.reporting import (
-    LARGEST_DEVIATION,
-    PUBLISH_NS,
-    age_s,
-    six_parameter_estimate,
-    stale_reason,
-)
+from tilth.estimator.results.reporting import REPORTING, age_s, six_parameter_estimate, stale_reason
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
@@ -44,24 +39,30 @@ from tilth.schemas.spread import interval
 
 Array = NDArray[np.float64]
 
-KNOWN_FACTOR_SD = 0.25  # of a logarithm: a change known to less is not told as a factor
+
+@dataclass(frozen=True, slots=True)
+class PemTuning:
+    """When a window is fitted, and what contradicts what was learned."""
+
+    known_factor_sd: float = tuned(0.25, "1", "of a logarithm: a change known worse is not told as a factor")
+    latency_ns: int = tuned(3_000_000_000, "ns", "after a window closes, at which its fit is adopted")
+    least_steering: float = tuned(math.radians(1.0), "rad", "least sd of the wheel angle in a window")
+    """With less steering the apparent information comes from the ground's forces, whose spectrum the model
+    does not have: intervals from automatically steered rows held the true value in 85 % of runs."""
+    noise_sd: float = tuned(0.4, "1", "prior sd of noise levels in each window: ground, satellites change")
+    change_chi_square: float = tuned(33.1, "chi^2", "of six, 1e-5: the window contradicts what was learned")
+    suspect_chi_square: float = tuned(16.8, "chi^2", "1e-2: a fit with the six of the file is tried beside")
+    change_ratio: float = tuned(100.0, "chi^2", "twice the nats that such a fit explains more at a change")
+    """Other unknowns, the tyres' curve above all, give way before the six do: of twice the stiffness, known
+    to 3 %, chi-square was 31 to 44, this 440 to 680."""
+    least_share: float = tuned(0.25, "1", "of the prior variance, that a window removes along any direction")
+    """In the test for a contradiction. If it removed next to nothing, the search's residual error alone would
+    look like a contradiction."""
+
+
+PEM: Final = PemTuning()
+
 METHOD = "pem"
-LATENCY_NS = 3_000_000_000
-LEAST_STEERING = math.radians(1.0)
-"""Least sd of the wheel angle in a window. With less steering the apparent information comes from the
-ground's forces, whose spectrum the model does not have: intervals from automatically steered rows held the
-true value in 85 % of runs."""
-NOISE_SD = 0.4  # prior log sd of noise levels in each window: ground and satellites change
-CHANGE_CHI_SQUARE = 33.1  # chi-square of six, 1e-5: the window contradicts what was learned
-SUSPECT_CHI_SQUARE = 16.8  # 1e-2: a fit with the six as the file says them is tried beside
-CHANGE_RATIO = 100.0
-"""Twice the nats that such a fit must explain more to be a change. Other unknowns, the tyres' curve above
-all, give way before the six do: of twice the stiffness, known to 3 %, chi-square was 31 to 44, this 440 to
-680."""
-LEAST_SHARE = 0.25
-"""Smallest share of the prior variance, along any direction, that a window counts to have removed in the test
-for a contradiction. If it removed next to nothing, the search's residual error alone would look like a
-contradiction."""
 OF_MASSES = ((AT["C_af"], AT["C_ar"]), (AT["C_ai"],))
 """Stiffnesses that are learned over each of unknowns.MASSES."""
 
@@ -133,13 +134,13 @@ def initial(machine: Machine) -> PemState:
 
 
 def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
-    """Take one segment; an estimate each PUBLISH_NS."""
+    """Take one segment; an estimate each REPORTING.publish_ns."""
     seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else 0.0
     state.last_pose_ns = pose.t_ns
     state.distance += min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
     if segment is not None and segment.reason in WAYS_OF_DRIVING and _stale(state, pose.t_ns) is None:
         state.sound_ns = pose.t_ns
-    if not collect(state, pose.t_ns, segment, PUBLISH_NS, LEAST_STEERING, _wheel_zero(state)):
+    if not collect(state, pose.t_ns, segment, REPORTING.publish_ns, PEM.least_steering, _wheel_zero(state)):
         return None
     if state.fits:
         speed = abs(pose.tractor.forward_velocity or 0.0)
@@ -154,7 +155,7 @@ def _advise(state: PemState, machine: Machine, speed: float, t_ns: int) -> None:
 
 def finish(state: PemState) -> None:
     """No more driving follows: close the present window, as a gap would."""
-    close_window(state, LEAST_STEERING, _wheel_zero(state))
+    close_window(state, PEM.least_steering, _wheel_zero(state))
 
 
 def _wheel_zero(state: PemState) -> float:
@@ -179,7 +180,7 @@ def request_fit(state: PemState, t_ns: int) -> Job | None:
     # Noise levels start again.
     covariance[NOISE, :] = 0.0
     covariance[:, NOISE] = 0.0
-    noise_sd = np.full(NOISE.stop - NOISE.start, NOISE_SD) if state.fits else state.prior_sd[NOISE]
+    noise_sd = np.full(NOISE.stop - NOISE.start, PEM.noise_sd) if state.fits else state.prior_sd[NOISE]
     covariance[NOISE, NOISE] = np.diag(noise_sd**2)
     state.job = Job(t_ns, record.end_ns, record, state.mean.copy(), covariance)
     return state.job
@@ -210,14 +211,14 @@ def fit(machine: Machine, job: Job) -> Fit:
         errors = fit_covariance.model_sd_of(job.record, found.mean)
         after = found.covariance[SIX, SIX] - np.diag(errors**2)
         contradiction = _contradiction(change, covariance[SIX, SIX], after, errors)
-    if contradiction > SUSPECT_CHI_SQUARE:
+    if contradiction > PEM.suspect_chi_square:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
         covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
         mean = np.concatenate([prior_mean[SIX], mean[6:]])
         anew = _posterior(job.record, setup, mean, covariance)
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
-        changed = contradiction > CHANGE_CHI_SQUARE or ratio > CHANGE_RATIO
+        changed = contradiction > PEM.change_chi_square or ratio > PEM.change_ratio
         found = scoring.with_gain(anew, found.gain) if changed else found
     return Fit(
         found.mean, found.covariance, found.information[SIX, SIX], found.gain, found.whiteness, found.cost,
@@ -259,14 +260,14 @@ def _contradiction(change: Array, before: Array, after: Array, model_sd: Array) 
 
     The covariance of the change is before - after, and the part that a window has in it of what the model has
     wrong, in the window and in what was learned before. Along directions in which that is less than
-    LEAST_SHARE of the variance before, this share is used.
+    `least_share` of the variance before, this share is used.
     change: (6,). before, after: covariances, (6, 6), without errors of the model. model_sd: (6,), these.
     """
     root = np.linalg.inv(np.linalg.cholesky(before))
     taken = np.eye(len(change)) - root @ after @ root.T
     wrong = taken @ root * model_sd
     variances, directions = np.linalg.eigh(taken + 2.0 * wrong @ wrong.T)
-    return float(np.sum((directions.T @ root @ change) ** 2 / np.maximum(variances, LEAST_SHARE)))
+    return float(np.sum((directions.T @ root @ change) ** 2 / np.maximum(variances, PEM.least_share)))
 
 
 def rehearse(machine: Machine) -> None:
@@ -282,7 +283,7 @@ def _refusal(found: scoring.Posterior, prior_mean: Array, prior_sd: Array) -> Co
         return Code.RESULT_NOT_FINITE
     if not found.converged:
         return Code.NOT_CONVERGED
-    if np.any(np.abs(found.mean - prior_mean)[SIX] > LARGEST_DEVIATION * prior_sd[SIX]):
+    if np.any(np.abs(found.mean - prior_mean)[SIX] > REPORTING.largest_deviation * prior_sd[SIX]):
         return Code.BEYOND_TYRES
     return None
 
@@ -335,7 +336,7 @@ def _soil_changed(job: Job, made: Fit) -> Notice:
     factors = [
         notice(NoticeCode.FACTOR, parameter=name, low=low, high=high)
         for name, log, sd in zip(PARAMETERS, logs.tolist(), sds.tolist(), strict=True)
-        if sd < KNOWN_FACTOR_SD
+        if sd < PEM.known_factor_sd
         for low, high in [interval(math.exp(log), sd)]
     ]
     return notice(NoticeCode.SOIL_CHANGED, *factors)

@@ -20,8 +20,9 @@ sd of 0.5.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +30,15 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import slow_pair_sd
-from tilth.estimator.filters.states import PAIR_MEMORY_S
+from tilth.estimator.filters.states import STATE
 from tilth.estimator.filters.steady_outputs import CONSTANTS, INPUTS, largest_slip, linearised
-from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.record.record import Segment
-from tilth.estimator.record.steady_driving import BLOCK, Steadiness, SteadySample, observe
+from tilth.estimator.record.steady_driving import STEADY_DRIVING, Steadiness, SteadySample, observe
 from tilth.estimator.results import advice
-from tilth.estimator.results.advice import SUPPORTED
+from tilth.estimator.results.advice import ADVICE
 from tilth.estimator.results.reporting import (
-    PUBLISH_NS,
-    WITHDRAWN,
+    REPORTING,
     age_s,
     nothing_yet,
     nuisance_sd,
@@ -47,6 +47,7 @@ from tilth.estimator.results.reporting import (
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
@@ -71,22 +72,39 @@ STRAIGHT = [
 """The states that are learned in straight driving."""
 SLOW = [AT["slow_t"], AT["slow_i"]]
 
-LEAST_ANGLE = math.radians(1.0)
-"""Least wheel angle to learn stiffnesses. Below it the Jacobian over stiffness consists mostly of noise of
-wheel angle and roll, and the squares of this noise would add up to false information."""
-WIDE_SD = 3.0  # prior sd of a compliance, over the prior mean's: flat compared with the logarithmic prior
-LARGEST_SLIP = math.radians(6.0)  # of an axle: above, one number does not describe the tyre curve
-NO_PAIR_SD = math.radians(2.0)  # sd of the slow heading error of a body without two receivers
-GATE = {2: 13.8, 3: 16.3}  # chi-square of so many outputs, 0.1 %
-NIS_MEMORY = 10.0  # samples (10 s) over which the normalised innovation squared (NIS) per output is averaged
-LARGEST_NIS = 6.0  # largest NIS of one sample in that mean
-NIS_LIMIT = 2.0  # of the mean: above, soil or rig have changed
-GROUND_SD = (0.004, 0.004, 0.02)
-"""Sds of what uneven ground does to a sample of the outputs (rad/s, rad, m/s), before any driving."""
-LARGEST_GROUND = 5.0  # sds of an innovation in that average
-GROUND_MEMORY = (10.0, 100.0)  # samples (s) over which it is averaged, at first and at most
-NEWTON_STEPS = 50
-LONGEST_STEP = 0.5  # of a logarithm
+
+@dataclass(frozen=True, slots=True)
+class SteadyStateTuning:
+    """What steady turns teach."""
+
+    least_angle: float = tuned(math.radians(1.0), "rad", "least wheel angle to learn stiffnesses")
+    """Below it the Jacobian over stiffness consists mostly of noise of wheel angle and roll, and the squares
+    of this noise would add up to false information."""
+    wide_sd: float = tuned(3.0, "1", "prior sd of a compliance over its mean: flat beside the prior")
+    largest_slip: float = tuned(math.radians(6.0), "rad", "of an axle: above, one number is no tyre curve")
+    no_pair_sd: float = tuned(
+        math.radians(2.0), "rad", "sd of the slow heading error of a body without a pair"
+    )
+    gate: Mapping[int, float] = tuned({2: 13.8, 3: 16.3}, "chi^2", "by number of outputs, 0.1 %: outliers")
+    nis_memory: float = tuned(10.0, "samples", "over which NIS per output is averaged, 10 s")
+    """NIS is the normalised innovation squared."""
+    largest_nis: float = tuned(6.0, "1", "NIS that one sample adds to that mean at most")
+    nis_limit: float = tuned(2.0, "1", "of the mean: above, soil or rig have changed")
+    ground_sd: tuple[float, ...] = tuned(
+        (0.004, 0.004, 0.02),
+        "rad/s, rad, m/s",
+        "sds of what uneven ground does to a sample of the outputs, before any driving",
+    )
+    largest_ground: float = tuned(5.0, "sd", "of an innovation in that average")
+    ground_memory: tuple[float, ...] = tuned(
+        (10.0, 100.0), "samples", "of that average, at first and at most"
+    )
+    newton_steps: int = tuned(50, "steps", "of the search for the maximum")
+    longest_step: float = tuned(0.5, "1", "of a logarithm, in one of these")
+
+
+STEADY_STATE: Final = SteadyStateTuning()
+
 
 _RELAXATION = ParameterEstimate(None, None, Status.UNESTIMATED, Reason(Code.NO_RELAXATION))
 
@@ -102,8 +120,8 @@ class SteadyState:
     logs: OfThree  # natural logarithms of the stiffnesses, of data and prior
     log_covariance: ThreeByThree
     # covariance of what uneven ground does to a sample of the outputs, and samples that it is from
-    ground: ThreeByThree = field(default_factory=lambda: np.diag(np.square(GROUND_SD)))
-    ground_samples: float = GROUND_MEMORY[0]
+    ground: ThreeByThree = field(default_factory=lambda: np.diag(np.square(STEADY_STATE.ground_sd)))
+    ground_samples: float = STEADY_STATE.ground_memory[0]
     steadiness: Steadiness = field(default_factory=Steadiness)
     previous: SteadySample | None = None  # the sample before, of the same turn
     last_pose_ns: int = 0
@@ -125,23 +143,23 @@ def initial(machine: Machine) -> SteadyState:
     mean, sd = unknowns.prior(machine)
     chosen = [unknowns.AT[name] for name in CONSTANTS]
     pairs = [slow_pair_sd(machine, body) for body in ("tractor", "implement")]
-    slow = [NO_PAIR_SD if sd is None else sd for sd in pairs]
+    slow = [STEADY_STATE.no_pair_sd if sd is None else sd for sd in pairs]
     prior_sd = np.concatenate(
         [sd[chosen], [_roll_zero_sd(machine, b) for b in ("tractor", "implement")], slow]
     )
     x = np.concatenate([np.ones(3), mean[chosen][3:], np.zeros(4)])
-    P = np.diag(np.concatenate([np.full(3, WIDE_SD), prior_sd[3:]]) ** 2)
+    P = np.diag(np.concatenate([np.full(3, STEADY_STATE.wide_sd), prior_sd[3:]]) ** 2)
     return SteadyState(x, P, prior_sd, mean[:3], mean[:3].copy(), np.diag(prior_sd[:3] ** 2))
 
 
 def _roll_zero_sd(machine: Machine, body: str) -> float:
     """Sd of the mean zero error of the rolls that a body's receivers measure, rad."""
     n = sum(r.mount.body == body for r in machine.receiver)
-    return unknowns.ROLL_ZERO_SD / math.sqrt(n) if n else 0.0
+    return unknowns.PRIOR.roll_zero_sd / math.sqrt(n) if n else 0.0
 
 
 def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | None = None) -> Estimate | None:
-    """Take one pose. Returns an estimate each PUBLISH_NS. The segment, with the dynamics, is not used."""
+    """Take one pose. Returns an estimate at its time. The segment, with the dynamics, is not used."""
     seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else math.inf
     state.last_pose_ns = pose.t_ns
     _drift(state, seconds, pose)
@@ -152,7 +170,7 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
         state.refused[state.reason] = state.refused.get(state.reason, 0) + 1
     elif sample is not None and _update(state, machine, sample):
         state.informed_ns = pose.t_ns
-    if pose.t_ns - state.published_ns < PUBLISH_NS:
+    if pose.t_ns - state.published_ns < REPORTING.publish_ns:
         return None
     state.published_ns = pose.t_ns
     _find_posterior(state)
@@ -174,7 +192,7 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
     retained_soil = retained_share(distance)
     retained = np.ones(len(STATES))
     retained[SOIL] = retained_soil
-    retained[SLOW] = math.exp(-seconds / PAIR_MEMORY_S)
+    retained[SLOW] = math.exp(-seconds / STATE.pair_memory_s)
     # The drift widens the sds of rolling resistance and tyre curve, but leaves their means.
     state.x[SLOW] *= retained[SLOW]
     added = (1 - retained**2) * state.prior_sd**2
@@ -185,8 +203,8 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
 def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     """One update. Returns whether stiffness was learned: not in straight driving, nor from an outlier."""
     zero = float(state.x[AT["wheel_zero"]])
-    informative = abs(sample.wheel_angle - zero) > LEAST_ANGLE
-    if largest_slip(sample, zero, machine) > LARGEST_SLIP:
+    informative = abs(sample.wheel_angle - zero) > STEADY_STATE.least_angle
+    if largest_slip(sample, zero, machine) > STEADY_STATE.largest_slip:
         return _refuse(state, Code.SLIP_BEYOND_MODEL)
     try:
         off, H, noise = _innovation(state, machine, sample, informative)
@@ -205,17 +223,19 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     distance = float(innovation @ np.linalg.solve(S, innovation))
     if not math.isfinite(distance):
         return _refuse(state, Code.RESULT_NOT_FINITE)
-    state.mean_nis += (min(distance / len(rows), LARGEST_NIS) - state.mean_nis) / NIS_MEMORY
-    if state.mean_nis > NIS_LIMIT:
+    state.mean_nis += (
+        min(distance / len(rows), STEADY_STATE.largest_nis) - state.mean_nis
+    ) / STEADY_STATE.nis_memory
+    if state.mean_nis > STEADY_STATE.nis_limit:
         _reset_stiffness(state)
-    if distance > GATE[len(rows)]:
+    if distance > STEADY_STATE.gate[len(rows)]:
         return _refuse(state, Code.OUTLIER)
     state.x, state.P = kalman_update(state.x, state.P, innovation, H, noise)
     _find_posterior(state)
     if informative:
         state.largest_angle = max(state.largest_angle, abs(sample.wheel_angle - zero))
-        state.steady_s += BLOCK * POSE_NS * 1e-9
-        state.sideslip_s += 0.0 if sample.v is None else BLOCK * POSE_NS * 1e-9
+        state.steady_s += STEADY_DRIVING.block * ALIGNMENT.pose_ns * 1e-9
+        state.sideslip_s += 0.0 if sample.v is None else STEADY_DRIVING.block * ALIGNMENT.pose_ns * 1e-9
     return informative
 
 
@@ -232,9 +252,9 @@ def _learn_ground(state: SteadyState, innovation: Array, expected: Array) -> Non
     """What innovations (3,) are beyond their expected covariance without ground, (3, 3), is the ground's."""
     if not np.all(np.isfinite(innovation)):
         return
-    limit = LARGEST_GROUND * np.sqrt(np.diag(expected + state.ground))
+    limit = STEADY_STATE.largest_ground * np.sqrt(np.diag(expected + state.ground))
     innovation = np.clip(innovation, -limit, limit)
-    state.ground_samples = min(state.ground_samples + 1.0, GROUND_MEMORY[1])
+    state.ground_samples = min(state.ground_samples + 1.0, STEADY_STATE.ground_memory[1])
     excess = np.outer(innovation, innovation) - expected
     values, vectors = np.linalg.eigh(state.ground + (excess - state.ground) / state.ground_samples)
     state.ground = np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, np.float64)
@@ -266,7 +286,7 @@ def _reset_stiffness(state: SteadyState) -> None:
     changed = [0, 1, 2, *SOIL]
     state.P[changed, :] = 0.0
     state.P[:, changed] = 0.0
-    state.P[changed, changed] = np.concatenate([np.full(3, WIDE_SD), state.prior_sd[SOIL]]) ** 2
+    state.P[changed, changed] = np.concatenate([np.full(3, STEADY_STATE.wide_sd), state.prior_sd[SOIL]]) ** 2
     state.mean_nis = 1.0
     state.steady_s = state.sideslip_s = state.largest_angle = 0.0
     state.forgotten += 1
@@ -319,11 +339,13 @@ def _measured(sample: SteadySample, by_inputs: Array) -> tuple[Array, Array]:
 def _data_information(state: SteadyState) -> tuple[Array, Array]:
     """(information matrix [3, 3], information vector [3]) of the data alone on the three compliances."""
     inverse = np.linalg.inv(state.P[:3, :3])
-    information = inverse - np.eye(3) / WIDE_SD**2
+    information = inverse - np.eye(3) / STEADY_STATE.wide_sd**2
     values, vectors = np.linalg.eigh((information + information.T) / 2)
     positive = vectors[:, values > 0]
     information = (positive * values[values > 0]) @ positive.T
-    return information, positive @ (positive.T @ (inverse @ state.x[:3] - np.ones(3) / WIDE_SD**2))
+    return information, positive @ (
+        positive.T @ (inverse @ state.x[:3] - np.ones(3) / STEADY_STATE.wide_sd**2)
+    )
 
 
 def _find_posterior(state: SteadyState) -> None:
@@ -337,12 +359,12 @@ def _find_posterior(state: SteadyState) -> None:
         return float(y @ information @ y / 2 - vector @ y + deviation @ weight @ deviation / 2)
 
     at = state.logs
-    for _ in range(NEWTON_STEPS):
+    for _ in range(STEADY_STATE.newton_steps):
         y = np.exp(state.prior_logs - at)
         gradient = -y * (information @ y - vector) + weight @ (at - state.prior_logs)
         hessian = np.outer(y, y) * information + weight
         step = np.linalg.solve(hessian, gradient)
-        length = min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+        length = min(1.0, STEADY_STATE.longest_step / max(float(np.abs(step).max()), 1e-12))
         while cost(at - length * step) > cost(at) + 1e-12 and length > 1e-3:
             length /= 2
         at = at - length * step
@@ -353,12 +375,14 @@ def _find_posterior(state: SteadyState) -> None:
     covariance = np.asarray(np.linalg.inv(np.outer(y, y) * information + weight), np.float64)
     # Errors of the model, as far as anything was learned.
     learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
-    tight = state.largest_angle > fit_covariance.TIGHT
-    room = np.square(fit_covariance.TIGHT_SD[:3] if tight else fit_covariance.MODEL_SD)
+    tight = state.largest_angle > fit_covariance.FIT_COVARIANCE.tight
+    room = np.square(
+        fit_covariance.FIT_COVARIANCE.tight_sd[:3] if tight else fit_covariance.FIT_COVARIANCE.model_sd
+    )
     state.log_covariance = covariance + np.diag(learned * room)
 
 
-def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[int, float | None]:
+def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> tuple[int, float | None]:
     """(rank, condition) of the data's information, without the prior, on the three logarithms.
 
     A direction counts in the rank if its sd is below the share `supported` of the prior's.
@@ -372,9 +396,9 @@ def identifiability(state: SteadyState, supported: float = SUPPORTED) -> tuple[i
 
 
 def _update_supported(state: SteadyState) -> None:
-    """Update which stiffnesses the data support: begins at SUPPORTED, ends at WITHDRAWN."""
+    """Update which stiffnesses the data support: begins at ADVICE.supported, ends at REPORTING.withdrawn."""
     for k, was_supported in enumerate(state.supported):
-        limit = WITHDRAWN if was_supported else SUPPORTED
+        limit = REPORTING.withdrawn if was_supported else ADVICE.supported
         rank, _ = identifiability(state, limit)
         state.supported[k] = rank == 3 and math.sqrt(state.log_covariance[k, k]) <= limit * state.prior_sd[k]
 

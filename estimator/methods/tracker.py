@@ -12,10 +12,11 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
-from tilth.estimator.filters.propagation import SLOWEST, GroundNoise, first_covariance
+from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
 from tilth.estimator.filters.states import DT, N_STATES, START, X_BANK, X_DISTURBANCE, X_PSI, X_ROLL
@@ -43,14 +44,9 @@ from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segm
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
-from tilth.estimator.results.reporting import (
-    LARGEST_DEVIATION,
-    PUBLISH_NS,
-    age_s,
-    six_parameter_estimate,
-    stale_reason,
-)
+from tilth.estimator.results.reporting import REPORTING, age_s, six_parameter_estimate, stale_reason
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
@@ -62,36 +58,47 @@ MotionVector = Annotated[Array, Shape((N_STATES,))]
 
 METHOD = "tracker"
 
-SD_FACTOR: Final = 1.25
-"""Factor on the reported sds, for the part that comes from data. The ground's waves and the receivers' slow
-errors are correlated for longer than in the filter's model. From Monte Carlo over uneven ground."""
-STEERING: Final = math.radians(1.5)
-"""Least recent root mean square of the wheel angle to learn soil and tyres. With less, the apparent
-information comes mostly from the ground's forces."""
-STEERING_MEMORY: Final = 6.0  # segments, 1.2 s
-HELD_WITHIN: Final = math.radians(1.5)  # wheels that stay within so much of an angle are held
-LONGEST_HELD: Final = 25  # segments, 5 s
-INITIAL_PHASE_S: Final = 10.0
-INITIAL_PHASE_SD: Final = 0.3
-"""Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve was
-lost. So what is learned from first, for so long, takes slopes where the rig is estimated to be, and after it
-the six have at least this sd and are correlated with nothing."""
-FAR_OFF: Final = 3.0 * np.array(START[:X_ROLL])
-"""How far v, yaw rates, slip angles and articulation by steering alone may be from the estimated ones."""
-SETTLES: Final = 5
-"""Segments (1 s) after a restart of x in which soil and tyres are not learned either: errors of the initial
-slip angles would be taken for stiffness."""
 
-DISTURBANCE_LENGTH: Final = 0.45  # m, over which the ground's pushes last; pem finds 0.1 s at 4.5 m/s
-SENSOR_NOISE_MEMORY: Final = 30.0  # segments (6 s) over which the noise of the sensors is averaged
-DISTURBANCE_VARIANCE_MEMORY: Final = 50.0  # the same (10 s) for the variances of the ground's pushes
-INITIAL_DISTURBANCES: Final = 15.0
-"""The memory for pushes that are larger than expected, after a start; it grows with the segments. Until rough
-ground is taken for what it is, its forces are learned as tyres."""
-DISTURBANCE_FORGETTING: Final = 1000.0  # segments over which these return to their prior
-LARGEST_VARIANCE_RATIO: Final = 5.0  # of observed to expected variance, that one segment contributes
-LOW_NOISE, HIGH_NOISE = 0.3, 3.0  # limits of the factor on a stated sd
-LARGEST_CHANGE: Final = 0.7  # limit of the change of a logarithm that is applied at a change of soil
+@dataclass(frozen=True, slots=True)
+class TrackerTuning:
+    """What the tracker learns from, and how fast it adapts."""
+
+    sd_factor: float = tuned(1.25, "1", "on the reported sds, for the part that comes from data")
+    """The ground's waves and the receivers' slow errors are correlated for longer than in the filter's model.
+    From Monte Carlo over uneven ground."""
+    steering: float = tuned(math.radians(1.5), "rad", "least recent rms of the wheels to learn soil from")
+    """With less, the apparent information comes mostly from the ground's forces."""
+    steering_memory: float = tuned(6.0, "segments", "over which it is averaged, 1.2 s")
+    held_within: float = tuned(math.radians(1.5), "rad", "wheels that stay within so much are held")
+    longest_held: int = tuned(25, "segments", "for which they may be held, 5 s")
+    initial_phase_s: float = tuned(
+        10.0, "s", "learned from first, with slopes where the rig is estimated to be"
+    )
+    """Slopes by steering alone need tyres that are roughly right; with those of the prior one rig in twelve
+    was lost."""
+    initial_phase_sd: float = tuned(0.3, "1", "that the six have after it at least, correlated with nothing")
+    far_off: Array = tuned(
+        3.0 * np.array(START[:X_ROLL]), "m/s, rad/s, rad", "from the estimated state, by steering alone"
+    )
+    settles: int = tuned(5, "segments", "after a restart of x (1 s) in which soil is not learned either")
+    """Errors of the initial slip angles would be taken for stiffness."""
+    disturbance_length: float = tuned(0.45, "m", "over which disturbances last; pem finds 0.1 s at 4.5 m/s")
+    sensor_noise_memory: float = tuned(30.0, "segments", "over which the sensors' noise is averaged, 6 s")
+    disturbance_variance_memory: float = tuned(
+        50.0, "segments", "same for the disturbance forces' variances, 10 s"
+    )
+    initial_disturbances: float = tuned(
+        15.0, "segments", "memory for larger disturbances after a start; it grows"
+    )
+    """Until rough ground is taken for what it is, its forces are learned as tyres."""
+    disturbance_forgetting: float = tuned(1000.0, "segments", "over which disturbances return to their prior")
+    largest_disturbance: float = tuned(5.0, "1", "largest observed over expected variance of one segment")
+    low_noise: float = tuned(0.3, "1", "smallest factor on a stated sd")
+    high_noise: float = tuned(3.0, "1", "largest factor on a stated sd")
+    largest_change: float = tuned(0.7, "1", "of a logarithm, that is applied at a change of soil")
+
+
+TRACKER: Final = TrackerTuning()
 
 
 @dataclass(slots=True)
@@ -114,7 +121,7 @@ class TrackerState:
     residual_ratio: Annotated[Array, Shape((SENSORS,))] = field(default_factory=lambda: np.ones(SENSORS))
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
     disturbance: Annotated[Array, Shape((4,))] = field(
-        default_factory=lambda: np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])
+        default_factory=lambda: np.square([*unknowns.PRIOR.disturbance, unknowns.PRIOR.uneven])
     )
     """Variances of the ground's pushes and of its unevenness."""
     segments_adapted: int = 0  # to which `disturbance` has been adapted
@@ -175,11 +182,11 @@ def prepare(machine: Machine) -> None:
 
 
 def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
-    """Take one segment; an estimate each PUBLISH_NS."""
+    """Take one segment; an estimate each REPORTING.publish_ns."""
     state.last_pose_ns = pose.t_ns
     if segment is not None:
         take_segment(state, machine, segment)
-    if pose.t_ns - state.published_ns < PUBLISH_NS:
+    if pose.t_ns - state.published_ns < REPORTING.publish_ns:
         return None
     state.published_ns = pose.t_ns
     speed = abs(pose.tractor.forward_velocity or 0.0)
@@ -218,8 +225,8 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         return
     setup = rig_setup(machine)
     sds = np.sqrt(state.disturbance)
-    speed = max(float(np.abs(record.ticks[:, U]).mean()), SLOWEST)
-    ground = GroundNoise(sds[:3], DISTURBANCE_LENGTH / speed, float(sds[3]))
+    speed = max(float(np.abs(record.ticks[:, U]).mean()), DRIVING.under_way)
+    ground = GroundNoise(sds[:3], TRACKER.disturbance_length / speed, float(sds[3]))
     if not state.running:
         _restart(state, record, setup, ground)
     learnable = _check_learnable(state, record)
@@ -238,7 +245,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.instrument),
         setup, active, considered, ground, tally,
-        state.by_steering and state.window_s >= INITIAL_PHASE_S,
+        state.by_steering and state.window_s >= TRACKER.initial_phase_s,
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -274,7 +281,7 @@ def _keep_near(state: TrackerState) -> None:
     """Begin `instrument` anew where it has run away from x: with some tyres, a rig turns round by itself."""
     off = state.instrument - state.x
     articulation = off[X_PSI] - off[X_PSI + 1]
-    if np.any(np.abs(off[:X_ROLL]) > FAR_OFF) or abs(articulation) > FAR_OFF[1]:
+    if np.any(np.abs(off[:X_ROLL]) > TRACKER.far_off) or abs(articulation) > TRACKER.far_off[1]:
         state.instrument[:] = 0.0
         state.instrument[:X_DISTURBANCE] = state.x[:X_DISTURBANCE]
 
@@ -282,21 +289,21 @@ def _keep_near(state: TrackerState) -> None:
 def _check_learnable(state: TrackerState, record: Record) -> bool:
     """Whether soil and tyres may be learned from a segment; a refusal is counted with its reason."""
     wheel = record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]]
-    state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / STEERING_MEMORY
+    state.steering += (float(wheel @ wheel) / len(wheel) - state.steering) / TRACKER.steering_memory
     state.segments_since_start += 1
     _note_held(state, float(record.ticks[:, WHEEL_ANGLE].mean()))
-    if state.segments_since_start <= SETTLES:
+    if state.segments_since_start <= TRACKER.settles:
         _refuse(state, Code.FILTER_SETTLING)
-    elif state.steering < STEERING**2:
+    elif state.steering < TRACKER.steering**2:
         _refuse(state, Code.TOO_LITTLE_STEERING)
-    elif state.held > LONGEST_HELD and not state.by_steering:  # all that moves the rig is the ground
+    elif state.held > TRACKER.longest_held and not state.by_steering:  # all that moves the rig is the ground
         _refuse(state, Code.HELD)
     return not state.reason
 
 
 def _note_held(state: TrackerState, wheel: float) -> None:
     """wheel: mean reading of a segment, rad. After a restart of x the same circle goes on."""
-    if abs(wheel - state.held_at) > HELD_WITHIN:
+    if abs(wheel - state.held_at) > TRACKER.held_within:
         state.held_at, state.held = wheel, 0
     state.held += 1
 
@@ -307,8 +314,8 @@ def _count(state: TrackerState, record: Record, tight: bool) -> None:
     state.hard += seconds * fit_covariance.lateral_square(record)
     before, state.window_s = state.window_s, state.window_s + seconds
     state.tight_s += seconds if tight else 0.0
-    if state.by_steering and before < INITIAL_PHASE_S <= state.window_s:
-        sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), INITIAL_PHASE_SD)
+    if state.by_steering and before < TRACKER.initial_phase_s <= state.window_s:
+        sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), TRACKER.initial_phase_sd)
         _decorrelate_six(state, sds)
 
 
@@ -325,16 +332,18 @@ def _articulation(record: Record) -> float:
 
 
 def is_tight(state: TrackerState, record: Record) -> bool:
-    """Whether a segment is of a sharp turn: wheels or articulation beyond fit_covariance.TIGHT."""
+    """Whether a segment is of a sharp turn: wheels or articulation beyond FIT_COVARIANCE.tight."""
     wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
-    return max(float(wheel.max()), _articulation(record)) > fit_covariance.TIGHT
+    return max(float(wheel.max()), _articulation(record)) > fit_covariance.FIT_COVARIANCE.tight
 
 
 def _is_sound(state: TrackerState) -> bool:
     values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
     if not all(bool(np.isfinite(value).all()) for value in values):
         return False
-    plausible = np.abs(state.mean[SIX] - state.prior_mean[SIX]) < LARGEST_DEVIATION * state.prior_sd[SIX]
+    plausible = (
+        np.abs(state.mean[SIX] - state.prior_mean[SIX]) < REPORTING.largest_deviation * state.prior_sd[SIX]
+    )
     variances = state.covariance.diagonal().min() >= 0.0 and state.P_xx.diagonal().min() > 0.0
     return bool(plausible.all() and variances)
 
@@ -356,18 +365,22 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     measured = residuals[:, 1] > 0.0
     state.residual_ratio[measured] += (
         residuals[measured, 0] / residuals[measured, 1] - state.residual_ratio[measured]
-    ) / SENSOR_NOISE_MEMORY
-    stated = np.clip(state.residual_ratio, LOW_NOISE**2, HIGH_NOISE**2)
+    ) / TRACKER.sensor_noise_memory
+    stated = np.clip(state.residual_ratio, TRACKER.low_noise**2, TRACKER.high_noise**2)
     state.mean[AT["s_yaw_rate"] : AT["s_roll"] + 1] = 0.5 * np.log(stated)
     ground = np.vstack([ground[:3], ground[3:].sum(axis=0)])  # both bodies' unevenness has one sd
-    ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, LARGEST_VARIANCE_RATIO)
+    ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, TRACKER.largest_disturbance)
     state.segments_adapted += 1
-    short = min(max(float(state.segments_adapted), INITIAL_DISTURBANCES), DISTURBANCE_VARIANCE_MEMORY)
-    memory = np.where(ratio > 1.0, short, DISTURBANCE_VARIANCE_MEMORY)
+    short = min(
+        max(float(state.segments_adapted), TRACKER.initial_disturbances), TRACKER.disturbance_variance_memory
+    )
+    memory = np.where(ratio > 1.0, short, TRACKER.disturbance_variance_memory)
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
     logs = np.log(state.disturbance) + 0.5 * (ratio - 1.0) / memory
     state.disturbance = np.exp(
-        logs + (np.log(np.square([*unknowns.DISTURBANCE, unknowns.UNEVEN])) - logs) / DISTURBANCE_FORGETTING
+        logs
+        + (np.log(np.square([*unknowns.PRIOR.disturbance, unknowns.PRIOR.uneven])) - logs)
+        / TRACKER.disturbance_forgetting
     )
 
 
@@ -378,15 +391,15 @@ def _detect_soil_change(state: TrackerState) -> None:
         _forget_soil(state, change.logs)
         return
     state.segments_since_checkpoint += 1
-    if state.segments_since_checkpoint >= soil_change.CHECKPOINT_SEGMENTS:
+    if state.segments_since_checkpoint >= soil_change.SOIL_CHANGE.checkpoint_segments:
         state.segments_since_checkpoint = 0
         state.checkpoints.append(Checkpoint(state.mean[SIX].copy(), state.covariance[SIX, SIX].copy()))
-        del state.checkpoints[: -soil_change.MOST_CHECKPOINTS]
+        del state.checkpoints[: -soil_change.SOIL_CHANGE.most_checkpoints]
 
 
 def _forget_soil(state: TrackerState, logs: Array) -> None:
     """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
-    state.mean[SIX] += np.clip(logs, -LARGEST_CHANGE, LARGEST_CHANGE)
+    state.mean[SIX] += np.clip(logs, -TRACKER.largest_change, TRACKER.largest_change)
     _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
     state.changes += 1
@@ -406,15 +419,19 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
 
 
 def reported_covariance(state: TrackerState) -> Array:
-    """Reported covariance of the six logarithms, (6, 6): the information of the data over SD_FACTOR
+    """Reported covariance of the six logarithms, (6, 6): the information of the data over `sd_factor`
     squared, and errors of the model."""
     prior_sd = state.prior_sd[SIX]
-    information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / SD_FACTOR**2
+    information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / TRACKER.sd_factor**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
-    tight = state.tight_s > fit_covariance.TIGHT_SHARE * state.window_s
+    tight = state.tight_s > fit_covariance.FIT_COVARIANCE.tight_share * state.window_s
     lateral = math.sqrt(state.hard / max(state.window_s, DT))
     room = fit_covariance.model_sd(
-        tight, lateral, math.sqrt(state.disturbance[3]), state.mean[SIX], fit_covariance.TRACKED_TIGHT_SD
+        tight,
+        lateral,
+        math.sqrt(state.disturbance[3]),
+        state.mean[SIX],
+        fit_covariance.FIT_COVARIANCE.tracked_tight_sd,
     )
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
 

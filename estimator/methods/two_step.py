@@ -17,6 +17,7 @@ from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.windows import OPEN, close_window, collect, refuse
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice
@@ -26,8 +27,17 @@ Array = NDArray[np.float64]
 OfSix = Annotated[Array, Shape((6,))]
 
 METHOD: Final = "pem_two_step"
-PUBLISH_NS: Final = 10_000_000_000
-LATENCY_NS: Final = 4_000_000_000  # a second more than pem's: the worker computes pem's fit first
+
+
+@dataclass(frozen=True, slots=True)
+class TwoStepTuning:
+    """When the dissertation's two-step fit is computed."""
+
+    publish_ns: int = tuned(10_000_000_000, "ns", "between two estimates")
+    latency_ns: int = tuned(4_000_000_000, "ns", "a second more than pem: the worker computes its fit first")
+
+
+TWO_STEP: Final = TwoStepTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +78,12 @@ def initial(machine: Machine) -> TwoStepState:
 
 
 def take(state: TwoStepState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
-    """Take one segment. Returns an estimate each PUBLISH_NS. Of the pose only the time is used."""
-    return estimate(state, machine, pose.t_ns) if collect(state, pose.t_ns, segment, PUBLISH_NS) else None
+    """Take one segment. Returns an estimate each `publish_ns`. Of the pose only the time is used."""
+    return (
+        estimate(state, machine, pose.t_ns)
+        if collect(state, pose.t_ns, segment, TWO_STEP.publish_ns)
+        else None
+    )
 
 
 def finish(state: TwoStepState) -> None:

@@ -6,7 +6,8 @@ of the disturbances. Parameters are logarithms, so a bound is relative to the va
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,22 @@ from numpy.typing import NDArray
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.linear_analysis import discretise, outputs_of, simulate, system
 from tilth.estimator.models.parameters import Rig
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS
 
 Array = NDArray[np.float64]
 
-STEP = 1e-4  # of the central differences: of a logarithm, rad or s
-NULL_SHARE = 1e-6  # sensitivities below this share of the largest are rounding errors
+
+@dataclass(frozen=True, slots=True)
+class IdentifiabilityTuning:
+    """Numerics of the Cramér-Rao bound."""
+
+    step: float = tuned(1e-4, "1, rad, s", "of the central differences: of a logarithm, an angle or a time")
+    null_share: float = tuned(1e-6, "1", "sensitivities below this share of the largest are rounding errors")
+
+
+IDENTIFIABILITY: Final = IdentifiabilityTuning()
+
 NUISANCES = ("wheel_zero", "wheel_gain", "latency", "speed")
 """Offset of the wheel angle, rad; logarithm of its scale; delay of all outputs, s; logarithm of the scale of
 speed."""
@@ -93,7 +104,11 @@ def sensitivities(
             changed = rig._replace(**{name: getattr(rig, name) * float(np.exp(nudge))})
         return _response(model, changed, pace, angle, dt, outputs, delay)
 
-    slopes = [(respond(name, STEP) - respond(name, -STEP)) / (2 * STEP) for name in names]
+    slopes = [
+        (respond(name, IDENTIFIABILITY.step) - respond(name, -IDENTIFIABILITY.step))
+        / (2 * IDENTIFIABILITY.step)
+        for name in names
+    ]
     return np.stack(slopes, axis=-1)
 
 
@@ -165,8 +180,8 @@ def bound(white: Array, names: Sequence[str]) -> Bound:
         [white, np.zeros((len(names), len(names)))]
     )  # directions that no row speaks of count too
     _, sizes, directions = np.linalg.svd(whole, full_matrices=False)
-    known = sizes > NULL_SHARE * sizes[0]
-    open_ = np.sum(directions[~known] ** 2, axis=0) > NULL_SHARE
+    known = sizes > IDENTIFIABILITY.null_share * sizes[0]
+    open_ = np.sum(directions[~known] ** 2, axis=0) > IDENTIFIABILITY.null_share
     variance = np.sum((directions[known] / sizes[known, None]) ** 2, axis=0)
     rank = int(known.sum())
     condition = float(sizes[0] / sizes[-1]) if rank == len(names) else float("inf")

@@ -4,7 +4,8 @@ All are functions of a `System`; each model, with or without the steering actuat
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,24 @@ from tilth.estimator.models.actuator import Actuator
 from tilth.estimator.models.family import Model
 from tilth.estimator.models.parameters import Rig, static_loads
 from tilth.estimator.models.steady_turn import steady_turn
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-SPEED_GRID = 0.02  # m/s: transition matrices are exact at multiples of this speed, interpolated between them
-AT_ORIGIN = 1e-6  # 1/s: smaller eigenvalues count as integrators; a double one has an error of this size
-RANK_TOLERANCE = 1e-9
+
+@dataclass(frozen=True, slots=True)
+class LinearAnalysisTuning:
+    """Numerics of linear models."""
+
+    speed_grid: float = tuned(
+        0.02, "m/s", "transition matrices are exact at its multiples, else interpolated"
+    )
+    at_origin: float = tuned(1e-6, "1/s", "smaller eigenvalues are integrators: the error of a double one")
+    rank_tolerance: float = tuned(1e-9, "1", "singular values below this share of the largest are 0")
+
+
+LINEAR_ANALYSIS: Final = LinearAnalysisTuning()
 
 
 class System(NamedTuple):
@@ -177,7 +189,7 @@ def simulate(
     """States at each sample, shape (n+1, s), from x0, shape (s,), exact at a constant speed.
 
     speed: m/s, or shape (n,), that of each step. inputs: (n, m), each row held for dt; with linear=True
-    (n+1, m), linear between samples. States and inputs as of `system`. Between speeds SPEED_GRID apart the
+    (n+1, m), linear between samples. States and inputs as of `system`. Between speeds `speed_grid` apart the
     transition is interpolated.
     """
     n = len(inputs) - 1 if linear else len(inputs)
@@ -199,10 +211,10 @@ def _speed_nodes(speed: float | Array, n: int) -> tuple[NDArray[np.int64], Array
     """(lower node of each step, share of the upper one, speeds of the nodes)."""
     if np.ndim(speed) == 0:
         return np.zeros(n, np.int64), np.zeros(n), np.full(2, float(speed))
-    scaled: Array = np.asarray(np.broadcast_to(speed, (n,)), np.float64) / SPEED_GRID
+    scaled: Array = np.asarray(np.broadcast_to(speed, (n,)), np.float64) / LINEAR_ANALYSIS.speed_grid
     first = int(np.floor(scaled.min()))
     low = np.floor(scaled).astype(np.int64)
-    nodes: Array = np.arange(first, int(low.max()) + 2, dtype=np.float64) * SPEED_GRID
+    nodes: Array = np.arange(first, int(low.max()) + 2, dtype=np.float64) * LINEAR_ANALYSIS.speed_grid
     return low - first, np.asarray(scaled - low), nodes
 
 
@@ -223,7 +235,7 @@ def eigenvalues(a: Array) -> Complex:
     """Eigenvalues of a square matrix, (n,), sorted by real, then by imaginary part; integrators exactly
     zero."""
     found = np.linalg.eigvals(a).astype(np.complex128)
-    found[np.abs(found) < AT_ORIGIN] = 0.0
+    found[np.abs(found) < LINEAR_ANALYSIS.at_origin] = 0.0
     order = sorted(found, key=lambda z: (round(z.real, 6), z.imag))
     return np.array(order)
 
@@ -239,7 +251,7 @@ def dominant(poles: Complex) -> complex:
 
     Raises ValueError where there is none.
     """
-    moving = [pole for pole in poles if abs(pole) > AT_ORIGIN]
+    moving = [pole for pole in poles if abs(pole) > LINEAR_ANALYSIS.at_origin]
     if not moving:
         raise ValueError("this system has integrators only: nothing in it settles")
     slowest = max(moving, key=lambda z: (round(z.real, 9), z.imag))
@@ -291,7 +303,7 @@ def observability(a: Array, c: Array) -> tuple[int, float]:
 def _rank(matrix: Array) -> tuple[int, float]:
     rows = np.linalg.norm(matrix, axis=1, keepdims=True)
     sizes = np.linalg.svd(matrix / np.where(rows > 0, rows, 1.0), compute_uv=False)
-    rank = int(np.sum(sizes > RANK_TOLERANCE * max(float(sizes[0]), 1e-12)))
+    rank = int(np.sum(sizes > LINEAR_ANALYSIS.rank_tolerance * max(float(sizes[0]), 1e-12)))
     return rank, float(sizes[0] / sizes[-1]) if rank == len(matrix) else float("inf")
 
 

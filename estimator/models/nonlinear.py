@@ -6,7 +6,7 @@ angles of 3.84-3.92 with full trigonometry; relaxation 3.107; tyre curve 5.34 ma
 wheel; positions 5.35, 5.36. Small angles without rolling resistance give the relaxation model; on firm soil
 rolling resistance, whose default is not zero, lowers the yaw rate per wheel angle by 2 to 3 %.
 States: STATES, SI and radians; with an actuator the last two are its states, without one they repeat the
-input. Inputs: INPUTS. Form: x' = f(x, w), integrated by Runge-Kutta steps of at most MAX_STEP_S.
+input. Inputs: INPUTS. Form: x' = f(x, w), integrated by Runge-Kutta steps of at most `max_step_s`.
 
 Slip: sigma (tan alpha)' = v_y - |v_x| tan alpha, with the axle's velocity along and across its wheels. At
 speed alpha becomes the angle between travel and facing; at standstill the tyre is a spring without damping;
@@ -24,6 +24,7 @@ force by drive slip, and differences of slip between the two wheels of an axle.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 from tilth.estimator.compiled import kernel
 from tilth.estimator.models.actuator import Actuator
 from tilth.estimator.models.parameters import Rig, static_loads
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float]
@@ -51,10 +53,21 @@ INPUTS: Final = (
 the speed to hold (m/s), where rig.drive_gain is not zero; further drive force (N); lateral forces at both CGs
 (N) and yaw moments (N m) from uneven ground."""
 
-MAX_STEP_S: Final = 0.01
-ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
+
+@dataclass(frozen=True, slots=True)
+class NonlinearTuning:
+    """Numerics of the nonlinear models."""
+
+    max_step_s: float = tuned(0.01, "s", "longest step of the integration")
+    rolling_speed: float = tuned(0.1, "m/s", "over this range of speed rolling resistance changes its sign")
+    step: float = tuned(1e-5, "1", "of the differences in `linearise`, in the state's own unit")
+
+
+NONLINEAR: Final = NonlinearTuning()
+# Kernels read globals; a record is none for them.
+ROLLING_SPEED: Final = NONLINEAR.rolling_speed
+
 DYNAMIC: Final = 11  # states that are not the actuator's
-STEP: Final = 1e-5  # of the differences in `linearise`
 
 
 @kernel
@@ -311,7 +324,7 @@ def simulate(
     states = np.zeros((n + 1, len(STATES)))
     states[0] = x0
     theta = np.atleast_2d(rig.theta if soil is None else soil)
-    substeps = max(1, math.ceil(dt / MAX_STEP_S - 1e-9))
+    substeps = max(1, math.ceil(dt / NONLINEAR.max_step_s - 1e-9))
     act = (0.0, 0.0)
     if actuator is not None:
         act = (actuator.gain / actuator.inertia, actuator.damping / actuator.inertia)
@@ -358,7 +371,7 @@ def linearise(rig: Rig, x: Array, w: Array) -> tuple[Array, Array]:
         return np.asarray((after - before)[:DYNAMIC] / (2 * nudge[column]))
 
     def column(k: int, at: Array, of_state: bool) -> Array:
-        return 2 * slope(k, at, of_state, STEP) - slope(k, at, of_state, 2 * STEP)
+        return 2 * slope(k, at, of_state, NONLINEAR.step) - slope(k, at, of_state, 2 * NONLINEAR.step)
 
     a = np.column_stack([column(k, x, True) for k in range(DYNAMIC)])
     return a, np.column_stack([column(k, w, False) for k in range(len(INPUTS))])

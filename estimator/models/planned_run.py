@@ -5,6 +5,7 @@ Where it goes is what the linear model with relaxation says at the machine file'
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 from tilth.estimator.models import manoeuvres
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import simulate, system
-from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named, rate_limited
+from tilth.estimator.models.manoeuvres import MANOEUVRE, manoeuvre_named, rate_limited
 from tilth.estimator.models.parameters import Rig
+from tilth.estimator.tuning import tuned
 from tilth.schemas.experiment import (
     KINDS,
     AnyRun,
@@ -32,8 +34,17 @@ from tilth.schemas.experiment import (
 Array = NDArray[np.float64]
 
 DT: Final = 0.02  # s, between samples of a planned run
-BESIDE_M: Final = 5.0  # kept free at the sides: half the rig, and what a driver is off
-RUN_UP_S: Final = 4.0  # straight and at speed before a run: steady, and the countdown
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRunTuning:
+    """Of planned runs."""
+
+    beside_m: float = tuned(5.0, "m", "kept free at the sides: half the rig, and what a driver is off")
+    run_up_s: float = tuned(4.0, "s", "straight and at speed before a run: steady, and the countdown")
+
+
+PLANNED_RUN: Final = PlannedRunTuning()
 
 
 class Scheduled(NamedTuple):
@@ -76,8 +87,8 @@ def schedule(plan: ExperimentPlan, rng: Generator) -> tuple[Scheduled, ...]:
 
 
 def wheel_angle(scheduled: Scheduled, limits: DrivingLimits, rng: Generator) -> Array:
-    """Wheel angles to follow, rad, DT apart, (n,): straight for START_S, then the run's steering, as fast as
-    the limits let it be. rng: for random levels."""
+    """Wheel angles to follow, rad, DT apart, (n,): straight at first (MANOEUVRE.start_s), then the run's
+    steering, as fast as the limits let it be. rng: for random levels."""
     return rate_limited(_wanted(scheduled, rng), math.radians(limits.wheel_rate_degps) * DT)
 
 
@@ -91,7 +102,7 @@ def share_followed(scheduled: Scheduled, limits: DrivingLimits, rng: Generator) 
 def _wanted(scheduled: Scheduled, rng: Generator) -> Array:
     """rad, (n,), as if the wheels could be turned at once."""
     run = scheduled.run
-    time: Array = np.arange(round((START_S + run.seconds) / DT) + 1, dtype=np.float64) * DT
+    time: Array = np.arange(round((MANOEUVRE.start_s + run.seconds) / DT) + 1, dtype=np.float64) * DT
     left = run.side == "left" or (run.side == "both" and scheduled.replicate % 2 == 0)
     wanted = _steering(run, time, math.radians(run.amplitude_deg), rng)
     return -wanted if left else wanted
@@ -139,7 +150,12 @@ def room(field: Rectangle, along: Array, across: Array, turning: bool) -> float:
     """How far the places stay inside of the field, m, negative outside. along, across: m from its corner,
     (n,). turning: headlands may be driven on, too."""
     end = 0.0 if turning else field.headland
-    inside = (along - end, field.length - end - along, across - BESIDE_M, field.width - BESIDE_M - across)
+    inside = (
+        along - end,
+        field.length - end - along,
+        across - PLANNED_RUN.beside_m,
+        field.width - PLANNED_RUN.beside_m - across,
+    )
     return float(min(np.min(one) for one in inside))
 
 
@@ -171,6 +187,6 @@ def check(plan: ExperimentPlan, rig: Rig, planned: Iterable[tuple[Scheduled, Arr
 
 def needed(run: AnyRun, found: Way) -> tuple[float, float]:
     """Length and width of the ground that a run takes with its run-up, m."""
-    behind = min(float(np.min(found.ahead)), -RUN_UP_S * run.speed)
+    behind = min(float(np.min(found.ahead)), -PLANNED_RUN.run_up_s * run.speed)
     sides = float(np.max(found.lateral_offset) - np.min(found.lateral_offset))
-    return float(np.max(found.ahead)) - behind, sides + 2 * BESIDE_M
+    return float(np.max(found.ahead)) - behind, sides + 2 * PLANNED_RUN.beside_m

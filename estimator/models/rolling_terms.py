@@ -1,9 +1,11 @@
 """Names of the quantities of rolling.py, and functions that its kernels call, with their derivatives."""
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 from tilth.estimator.compiled import kernel
+from tilth.estimator.tuning import tuned
 
 STATES: Final = (
     "v", "r_t", "r_i", "alpha_f", "alpha_r", "alpha_i", "phi_t", "phi_i", "p_t", "p_i", "psi_t", "psi_i",
@@ -33,7 +35,18 @@ CONSTANTS: Final = ("w_f", "w_r", "w_i", "exponent", "front_drive", "g")
 """As parameters.RIG_PARAMETERS; not differentiated by."""
 
 SPEEDS: Final = 6
-SHORTEST: Final = 0.2  # of its relaxation length that a tyre keeps at any slip
+
+
+@dataclass(frozen=True, slots=True)
+class RollingTuning:
+    """Of the tyres' curve."""
+
+    shortest: float = tuned(0.2, "1", "of its relaxation length, that a tyre keeps at any slip")
+
+
+ROLLING: Final = RollingTuning()
+# Kernels read globals; a record is none for them.
+SHORTEST: Final = ROLLING.shortest
 
 
 @kernel

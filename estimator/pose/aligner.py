@@ -1,22 +1,24 @@
 """Stores measurements until the pose: one track per receiver, the wheel angle; decides when a pose is due.
 
-Pose instants are multiples of POSE_NS on the log's clock. A pose is due when every active receiver has a
-position at or after its instant, at the latest DEADLINE_NS after it.
+Pose instants are multiples of `pose_ns` on the log's clock. A pose is due when every active receiver has a
+position at or after its instant, at the latest `deadline_ns` after it.
 """
 
 import math
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields
+from typing import Final
 
 from tilth.estimator.pose import latency, lateness, plausibility
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.latency import Latency
 from tilth.estimator.pose.lateness import Lateness
-from tilth.estimator.pose.log_time import SILENCE_NS
-from tilth.estimator.pose.receiver_track import NEAR_NS, Sample, Track
-from tilth.estimator.pose.screen import LASTING, Screens
+from tilth.estimator.pose.log_time import LOG_TIME
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, Sample, Track
+from tilth.estimator.pose.screen import SCREEN, Screens
 from tilth.estimator.state_json import NOT_STORED
+from tilth.estimator.tuning import tuned
 from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.flow import (
     Attitude,
@@ -33,25 +35,38 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.messages import DAY_NS
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection, count
 
-POSE_NS = 200_000_000
-DEADLINE_NS = 500_000_000
-LOST_NS = 1_500_000_000  # no usable position for this long; the slowest receivers send one a second
-FIX_NS = 5_000_000_000  # a fix that was reported longer ago counts as unknown
-WHEEL_HOLD_NS = 250_000_000  # of the last wheel angle or wheel-based speed
-MOVED_SD = 0.03  # s, by which a moved receiver's learned latency may be wrong: 0.1 m at 3 m/s
-FARTHEST_FROM_ORIGIN = 5_000.0  # m: further away, grid north and true north differ by more than a milliradian
-ORIGIN_AGREEMENT = 100.0  # m: two positions this close may both be right
-CLOCKS_APART_NS = 3_000_000_000  # receivers tell UTC up to a second late
+
+@dataclass(frozen=True, slots=True)
+class AlignmentTuning:
+    """How measurements of many clocks become instants of poses."""
+
+    pose_ns: int = tuned(200_000_000, "ns", "time between two poses")
+    deadline_ns: int = tuned(
+        500_000_000, "ns", "longest wait of a pose for what receivers still have to send"
+    )
+    lost_ns: int = tuned(1_500_000_000, "ns", "without a usable position for so long a receiver is lost")
+    fix_ns: int = tuned(5_000_000_000, "ns", "a fix that was reported longer ago counts as unknown")
+    moved_sd: float = tuned(0.03, "s", "least sd of the learned latency of a moved receiver: 0.1 m at 3 m/s")
+    farthest_from_origin: float = tuned(
+        5_000.0, "m", "further away, grid north is off by more than a milliradian"
+    )
+    origin_agreement: float = tuned(100.0, "m", "two positions this close may both be right")
+    clocks_apart_ns: int = tuned(3_000_000_000, "ns", "of two that tell UTC: some tell it a second late")
+    wheel_hold_ns: int = tuned(250_000_000, "ns", "for which the wheels' angle or speed is still used")
+    wheel_speed_sd: float = tuned(0.1, "m/s", "sd of the speed that a vehicle reports of its wheels")
+
+
+ALIGNMENT: Final = AlignmentTuning()
+
 LEAP_SECONDS_NS = (16_000_000_000, 20_000_000_000)  # some tell GPS time for UTC
-DAY_NS = 86_400_000_000_000
 MOUNTS = tuple(Mount)
 WHEEL_BASED_PGN = 65096
 WHEEL = "wheel_angle"
 WHEEL_NAME = f"{WHEEL} {WHEEL}"  # of its screen
-WHEEL_SPEED_SD = 0.1  # m/s, of what a vehicle says of its wheels
 _NUMBERS = {kind: tuple(f.name for f in fields(kind) if f.type in (float, float | None)) for kind in TOPIC_OF}
 _RECEIVER_KINDS = (Velocity, YawRate, Attitude, Heading, Fix, UtcTime)  # of a receiver, besides positions
 
@@ -127,7 +142,7 @@ def leave_out(state: Aligner, mounts: Collection[str]) -> None:
         if track is None:
             continue
         if track.left_out != (mount in mounts):  # being moved along its body was taken for latency
-            state.latency.covariance[index, index] += MOVED_SD**2
+            state.latency.covariance[index, index] += ALIGNMENT.moved_sd**2
         track.left_out = mount in mounts
     state.suspicion, state.long_term = plausibility.Suspicion(), plausibility.LongTermMeans()
     state.last_heading = [None, None]
@@ -192,7 +207,7 @@ def _take_vehicle_speed(state: Aligner, measurement: VehicleSpeed) -> None:
     sender = f"{measurement.origin.bus} {measurement.origin.source}"
     state.wheel_speeds_of = state.wheel_speeds_of or sender
     if sender == state.wheel_speeds_of:
-        reading = (measurement.rx_ns, measurement.speed, 0.0, WHEEL_SPEED_SD)
+        reading = (measurement.rx_ns, measurement.speed, 0.0, ALIGNMENT.wheel_speed_sd)
         for t_ns, speed, _, _ in state.screens.near(WHEEL, "wheel_speed", reading, state.moving):
             state.wheel_speeds.append((t_ns, speed, 0.0))
 
@@ -201,7 +216,7 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
     if position.pgn != track.position_pgn:
         # A receiver may send each position twice, as PGN 129025 and as 129029. The higher PGN is used only
         # when the lower one has stopped, so that no position counts twice.
-        silent = not track.positions or position.rx_ns - track.last_position_ns > LOST_NS
+        silent = not track.positions or position.rx_ns - track.last_position_ns > ALIGNMENT.lost_ns
         if not silent and position.pgn > track.position_pgn:
             return
         track.position_pgn = position.pgn
@@ -214,8 +229,10 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
         _set_origin(state, here, position.rx_ns)
     assert state.origin_deg is not None
     at = to_plane(state.origin_deg, *here)
-    if not math.hypot(*at) <= FARTHEST_FROM_ORIGIN:  # also where the plane has no numbers
-        drove_there = track.positions and math.dist(at, track.positions[-1][1:3]) <= ORIGIN_AGREEMENT
+    if not math.hypot(*at) <= ALIGNMENT.farthest_from_origin:  # also where the plane has no numbers
+        drove_there = (
+            track.positions and math.dist(at, track.positions[-1][1:3]) <= ALIGNMENT.origin_agreement
+        )
         if not drove_there and not _is_elsewhere(track, here):
             count(state.screens.rejected, Rejection.SPIKE)
             return
@@ -226,23 +243,23 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
 
 
 def _is_elsewhere(track: Track, here: tuple[float, float]) -> bool:
-    """Whether a receiver has been far from the origin, at one place, for LASTING positions in a row."""
+    """Whether a receiver has been far from the origin, at one place, for `SCREEN.lasting` positions."""
     before, track.elsewhere_deg = track.elsewhere_deg, here
-    near = before is not None and math.hypot(*to_plane(before, *here)) <= ORIGIN_AGREEMENT
+    near = before is not None and math.hypot(*to_plane(before, *here)) <= ALIGNMENT.origin_agreement
     track.elsewhere = track.elsewhere + 1 if near else 1
-    return track.elsewhere >= LASTING
+    return track.elsewhere >= SCREEN.lasting
 
 
 def _agrees(state: Aligner, here: tuple[float, float]) -> bool:
     """Whether the position before agrees: a single one may be a first guess."""
     candidate, state.origin_candidate_deg = state.origin_candidate_deg, here
-    return candidate is not None and math.hypot(*to_plane(candidate, *here)) <= ORIGIN_AGREEMENT
+    return candidate is not None and math.hypot(*to_plane(candidate, *here)) <= ALIGNMENT.origin_agreement
 
 
 def _set_origin(state: Aligner, here: tuple[float, float], rx_ns: int) -> None:
     """Set the origin of the plane here."""
     state.origin_deg = here
-    state.due_ns = state.due_ns or (rx_ns // POSE_NS + 1) * POSE_NS
+    state.due_ns = state.due_ns or (rx_ns // ALIGNMENT.pose_ns + 1) * ALIGNMENT.pose_ns
     state.screens.forget_places()
     for track in state.tracks.values():
         track.positions.clear()
@@ -275,7 +292,8 @@ def _clocks_apart(state: Aligner) -> list[tuple[str, Notice]]:
     (one, ns), (other, other_ns) = list(offsets.items())[:2]
     apart_ns = abs(ns - other_ns)
     of_leap_seconds = LEAP_SECONDS_NS[0] < apart_ns < LEAP_SECONDS_NS[1]
-    if apart_ns < CLOCKS_APART_NS or of_leap_seconds or apart_ns > DAY_NS:  # a receiver tells another time
+    another_time = apart_ns > DAY_NS  # a receiver tells it
+    if apart_ns < ALIGNMENT.clocks_apart_ns or of_leap_seconds or another_time:
         return []
     state.clocks_told = True
     ahead, behind = (one, other) if ns > other_ns else (other, one)
@@ -287,31 +305,31 @@ def due(state: Aligner, now_ns: int) -> int | None:
     """The instant of the pose that is due at now_ns (Frame.rx_ns of the latest frame), or None."""
     if state.due_ns == 0 or now_ns < state.due_ns:
         return None
-    if now_ns - state.due_ns > SILENCE_NS:
-        state.due_ns = (now_ns - DEADLINE_NS) // POSE_NS * POSE_NS
+    if now_ns - state.due_ns > LOG_TIME.silence_ns:
+        state.due_ns = (now_ns - ALIGNMENT.deadline_ns) // ALIGNMENT.pose_ns * ALIGNMENT.pose_ns
     if not _positions_are_in(state, now_ns):
         return None
     instant = state.due_ns
-    state.due_ns += POSE_NS
+    state.due_ns += ALIGNMENT.pose_ns
     return instant
 
 
 def _positions_are_in(state: Aligner, now_ns: int) -> bool:
-    if now_ns >= state.due_ns + DEADLINE_NS:
+    if now_ns >= state.due_ns + ALIGNMENT.deadline_ns:
         return True
     return all(
-        track.positions[-1][0] - state.latency.excess_ns(index) >= state.due_ns - NEAR_NS
+        track.positions[-1][0] - state.latency.excess_ns(index) >= state.due_ns - RECEIVER_TRACK.near_ns
         for index, track in _active_receivers(state, now_ns)
     )
 
 
 def _active_receivers(state: Aligner, now_ns: int) -> list[tuple[int, Track]]:
-    """(index into MOUNTS, track) of the receivers that had a usable position in the last LOST_NS."""
+    """(index into MOUNTS, track) of the receivers that had a usable position in the last `lost_ns`."""
     return [
         (index, track)
         for index, mount in enumerate(MOUNTS)
         if (track := state.tracks.get(mount.value)) is not None
         and track.positions
         and track.usable()
-        and now_ns - track.last_position_ns <= LOST_NS
+        and now_ns - track.last_position_ns <= ALIGNMENT.lost_ns
     ]

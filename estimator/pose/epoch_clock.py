@@ -10,20 +10,40 @@ Arrival times alone would put 10 to 30 ms of jitter (4 to 13 cm at 4.5 m/s) into
 """
 
 from dataclasses import dataclass, field
+from typing import Final
 
-BURST_NS = 60_000_000  # other messages of an epoch come within this time after its position
-EARLY_NS = 30_000_000  # or within this time before it
-SAME_SID_NS = 200_000_000
-ENVELOPE_RISE = 300e-6  # s/s by which the envelope may rise: above the skew of any quartz clock (100 ppm)
-QUEUE_S = 0.03  # longest delay in a queue: the error of a measured period, times the number of epochs
-FIRST_INTERVALS = 5  # their median is the first estimate of the period
-COMMON_PERIODS_NS = (50_000_000, 100_000_000, 200_000_000, 250_000_000, 500_000_000, 1_000_000_000)
-COMMON_SHARE = 0.01  # a measured period that is within this share of a common one is set to it at first
-WHOLE_MS_AFTER = 120  # epochs after which the mean interval is rounded to 1 ms; repeated after as many
-OFF_GRID_LIMIT = 12  # a dozen positions reach it if every second one is between the epochs
-RESET_NS = 5_000_000_000  # a silence this long, or a step back in time, starts a new grid
-UTC_JUMP_NS = 2_000_000_000
-PERIOD_RANGE_NS = (40_000_000, 2_000_000_000)
+from tilth.estimator.tuning import tuned
+
+
+@dataclass(frozen=True, slots=True)
+class EpochClockTuning:
+    """How the instants of a receiver's epochs are found from when its messages arrive."""
+
+    burst_ns: int = tuned(60_000_000, "ns", "other messages of an epoch come so soon after its position")
+    early_ns: int = tuned(30_000_000, "ns", "or within this time before it")
+    same_sid_ns: int = tuned(200_000_000, "ns", "closer messages with one sequence number are of one epoch")
+    envelope_rise: float = tuned(
+        300e-6, "s/s", "of the envelope: above the skew of any quartz clock (100 ppm)"
+    )
+    queue_s: float = tuned(0.03, "s", "longest delay in a queue: a measured period's error times epochs")
+    first_intervals: int = tuned(5, "intervals", "the median of so many is the first estimate of the period")
+    common_periods_ns: tuple[int, ...] = tuned(
+        (50_000_000, 100_000_000, 200_000_000, 250_000_000, 500_000_000, 1_000_000_000),
+        "ns",
+        "periods that receivers are set to",
+    )
+    common_share: float = tuned(0.01, "1", "a measured period so close to a common one is set to it at first")
+    whole_ms_after: int = tuned(120, "epochs", "after which the mean interval is rounded to 1 ms, each time")
+    off_grid_limit: int = tuned(12, "positions", "off the grid, until the grid is doubted")
+    """A dozen positions reach it if every second one is between the epochs."""
+    reset_ns: int = tuned(5_000_000_000, "ns", "so long a silence, or a step back in time, starts a new grid")
+    utc_jump_ns: int = tuned(2_000_000_000, "ns", "a larger step of UTC against the clock is a jump")
+    period_range_ns: tuple[int, ...] = tuned(
+        (40_000_000, 2_000_000_000), "ns", "intervals outside of this range are no period"
+    )
+
+
+EPOCH_CLOCK: Final = EpochClockTuning()
 
 
 @dataclass(slots=True)
@@ -55,7 +75,7 @@ class EpochClock:
         since = rx_ns - self.epoch_ns
         epochs = round(since / self.period_ns)
         lateness = since - epochs * self.period_ns
-        if since < -self.period_ns or since > RESET_NS:
+        if since < -self.period_ns or since > EPOCH_CLOCK.reset_ns:
             self._restart_grid(rx_ns)
         elif self._off_grid(lateness):
             self.period_ns, self.period_exact = 0, False
@@ -75,7 +95,7 @@ class EpochClock:
         if sid is None:
             return instant
         if sid == self.sid and pgn not in self.sid_pgns:
-            if self.sid_changes and 0 <= rx_ns - self.sid_ns < SAME_SID_NS:
+            if self.sid_changes and 0 <= rx_ns - self.sid_ns < EPOCH_CLOCK.same_sid_ns:
                 instant = self.sid_ns
         else:
             self.sid_changes |= self.sid is not None and sid != self.sid
@@ -88,9 +108,9 @@ class EpochClock:
         if self.period_ns == 0:
             return rx_ns
         lateness = (rx_ns - self.epoch_ns) % self.period_ns
-        if lateness <= BURST_NS:
+        if lateness <= EPOCH_CLOCK.burst_ns:
             return rx_ns - lateness
-        if self.period_ns - lateness <= min(EARLY_NS, self.period_ns // 4):
+        if self.period_ns - lateness <= min(EPOCH_CLOCK.early_ns, self.period_ns // 4):
             return rx_ns + self.period_ns - lateness
         return rx_ns
 
@@ -104,31 +124,33 @@ class EpochClock:
         self.off_grid = (
             self.off_grid + 2 if abs(lateness) > self.period_ns // 4 else max(0, self.off_grid - 1)
         )
-        return self.off_grid >= OFF_GRID_LIMIT
+        return self.off_grid >= EPOCH_CLOCK.off_grid_limit
 
     def _envelope_rise(self) -> float:
         """Largest rise of the envelope, s/s: clock skew, plus the error that the period may still have."""
         if self.period_exact:
-            return ENVELOPE_RISE
-        return ENVELOPE_RISE + QUEUE_S * 1e9 / (self.period_ns * max(self.anchor_epochs, 1))
+            return EPOCH_CLOCK.envelope_rise
+        return EPOCH_CLOCK.envelope_rise + EPOCH_CLOCK.queue_s * 1e9 / (
+            self.period_ns * max(self.anchor_epochs, 1)
+        )
 
     def _estimate_first_period(self, interval: int, rx_ns: int) -> None:
-        if PERIOD_RANGE_NS[0] <= interval <= PERIOD_RANGE_NS[1]:
+        if EPOCH_CLOCK.period_range_ns[0] <= interval <= EPOCH_CLOCK.period_range_ns[1]:
             self.first_intervals.append(interval)
-        if len(self.first_intervals) == FIRST_INTERVALS:
-            self.period_ns = sorted(self.first_intervals)[FIRST_INTERVALS // 2]
+        if len(self.first_intervals) == EPOCH_CLOCK.first_intervals:
+            self.period_ns = sorted(self.first_intervals)[EPOCH_CLOCK.first_intervals // 2]
             self.anchor_ns = rx_ns
             self.anchor_epochs = 0
 
     def _measure_period(self, rx_ns: int, epochs: int) -> None:
         self.anchor_epochs += epochs
         mean = (rx_ns - self.anchor_ns) // self.anchor_epochs
-        if self.anchor_epochs >= WHOLE_MS_AFTER:
+        if self.anchor_epochs >= EPOCH_CLOCK.whole_ms_after:
             self.period_ns, self.period_exact = round(mean / 1e6) * 1_000_000, True
             self.anchor_ns, self.anchor_epochs = rx_ns, 0
         elif not self.period_exact:
-            near = min(COMMON_PERIODS_NS, key=lambda common: abs(mean - common))
-            self.period_ns = near if abs(mean - near) <= COMMON_SHARE * near else mean
+            near = min(EPOCH_CLOCK.common_periods_ns, key=lambda common: abs(mean - common))
+            self.period_ns = near if abs(mean - near) <= EPOCH_CLOCK.common_share * near else mean
 
 
 @dataclass(slots=True)
@@ -143,11 +165,11 @@ class UtcClock:
         """Take an epoch's host time and UTC. A finer resolution replaces a coarser one; a jump starts
         again."""
         offset = host_ns - utc_ns
-        jumped = self.offset_ns is not None and abs(offset - self.offset_ns) > UTC_JUMP_NS
+        jumped = self.offset_ns is not None and abs(offset - self.offset_ns) > EPOCH_CLOCK.utc_jump_ns
         if self.offset_ns is None or jumped or resolution_s < self.resolution_s:
             self.offset_ns, self.at_ns, self.resolution_s = offset, host_ns, resolution_s
         elif resolution_s == self.resolution_s:
-            risen = self.offset_ns + round(ENVELOPE_RISE * (host_ns - self.at_ns))
+            risen = self.offset_ns + round(EPOCH_CLOCK.envelope_rise * (host_ns - self.at_ns))
             self.offset_ns, self.at_ns = min(offset, risen), host_ns
 
     def utc_ns(self, host_ns: int) -> int | None:

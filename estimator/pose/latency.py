@@ -8,19 +8,29 @@ uncertain as the machine file says.
 
 import math
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.rig.residuals import CRUISE
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
-CORRELATED_POSES = 25.0  # poses (5 s) whose position errors count as one, since multipath is not white
-DRIFT_RATE = 0.5e-3  # s per sqrt(s)
-SURVEY_SD = 0.02  # m: error of a surveyed distance, never averaged away
-GATE = 5.0  # sd
-PRIOR_CORRELATION = 0.5  # of two receivers' latencies in the machine file: often all come from one guess
+
+@dataclass(frozen=True, slots=True)
+class LatencyTuning:
+    """How receivers' latencies are learned from the distances between them."""
+
+    correlated_poses: float = tuned(25.0, "poses", "with one position error (5 s): multipath is not white")
+    drift_rate: float = tuned(0.5e-3, "s/s^0.5", "random walk of a latency")
+    survey_sd: float = tuned(0.02, "m", "error of a surveyed distance, never averaged away")
+    gate: float = tuned(5.0, "sd", "a larger innovation is an outlier")
+    prior_correlation: float = tuned(0.5, "1", "of two latencies in the machine file: often one guess")
+
+
+LATENCY: Final = LatencyTuning()
 
 
 @dataclass(slots=True)
@@ -35,7 +45,7 @@ class Latency:
 
     def drift(self, seconds: float) -> None:
         """Random walk of the differences; not of the common latency, which could not be learned again."""
-        self.covariance += (np.eye(4) - 0.25) * (DRIFT_RATE**2 * min(seconds, 10.0))
+        self.covariance += (np.eye(4) - 0.25) * (LATENCY.drift_rate**2 * min(seconds, 10.0))
 
     def update(self, row: Array, ahead: float, sd: float, speed: float) -> None:
         """Scalar Kalman update of τ with the measurement `row` · τ = −ahead / speed.
@@ -43,12 +53,12 @@ class Latency:
         row: (4,). ahead: how far the points of positive weight are ahead of their place by the geometry, m.
         sd: of one such distance, m. speed: along the path, m/s, negative in reverse.
         """
-        if abs(speed) < CRUISE:
+        if abs(speed) < DRIVING.cruise:
             return
         innovation = -ahead / speed
         cross = self.covariance @ row
-        variance = float(row @ cross) + (CORRELATED_POSES * sd**2 + SURVEY_SD**2) / speed**2
-        if innovation**2 > GATE**2 * variance:
+        variance = float(row @ cross) + (LATENCY.correlated_poses * sd**2 + LATENCY.survey_sd**2) / speed**2
+        if innovation**2 > LATENCY.gate**2 * variance:
             return
         self.tau += cross * (innovation / variance)
         self.covariance -= np.outer(cross, cross) / variance
@@ -57,7 +67,7 @@ class Latency:
         """Sd of τ_one − τ_other, s, including the error of the survey."""
         p = self.covariance
         variance = float(p[one, one] + p[other, other] - 2 * p[one, other])
-        return math.sqrt(max(variance, 0.0) + (SURVEY_SD / max(abs(speed), CRUISE)) ** 2)
+        return math.sqrt(max(variance, 0.0) + (LATENCY.survey_sd / max(abs(speed), DRIVING.cruise)) ** 2)
 
     def sd_mean(self, receivers: list[int]) -> float:
         """Sd of the mean τ of these receivers, s."""
@@ -66,5 +76,5 @@ class Latency:
 
 def prior(sds: list[float]) -> Latency:
     """The machine file's latencies, before any motion. sds: (4,), s."""
-    correlation = PRIOR_CORRELATION + (1 - PRIOR_CORRELATION) * np.eye(4)
+    correlation = LATENCY.prior_correlation + (1 - LATENCY.prior_correlation) * np.eye(4)
     return Latency(covariance=correlation * np.outer(sds, sds))

@@ -9,15 +9,24 @@ that, and nothing says which is wrong by how much. So nothing is learned around 
 from dataclasses import dataclass, field
 from typing import Final
 
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 
-FRAME_BITS: Final = 100  # of the frames that adapters report; the shortest with 8 bytes and 29 bits have more
-LATE_NS: Final = 30_000_000  # waiting that matters; adapters hold frames for up to half of it
-HEAP_NS: Final = 2_000_000  # readings of one sensor that are closer together came in a heap
-MEMORY: Final = 200.0  # intervals over which the usual one is averaged
-DOUBT_NS: Final = 1_000_000_000
-"""After a heap: poses up to here may rest on it, and a busy computer is busy again soon."""
+
+@dataclass(frozen=True, slots=True)
+class LatenessTuning:
+    """What tells that frames waited before they were stamped."""
+
+    frame_bits: int = tuned(100, "bits", "of a frame; the shortest with 8 bytes and 29 bits have more")
+    late_ns: int = tuned(30_000_000, "ns", "waiting that matters; adapters hold frames for up to half of it")
+    heap_ns: int = tuned(2_000_000, "ns", "readings of one sensor that are closer together came in a heap")
+    memory: float = tuned(200.0, "intervals", "over which the usual one is averaged")
+    doubt_ns: int = tuned(1_000_000_000, "ns", "after a heap, in which nothing is learned")
+    """After a heap: poses up to here may rest on it, and a busy computer is busy again soon."""
+
+
+LATENESS: Final = LatenessTuning()
 
 
 @dataclass(slots=True)
@@ -56,7 +65,9 @@ def take_frame(state: Lateness, machine: Machine, frame: Frame) -> None:
     arrivals = state.buses.get(frame.bus)
     if arrivals is None:
         rate = next((bus.bitrate for bus in machine.bus if bus.name == frame.bus), 0)
-        arrivals = state.buses[frame.bus] = Arrivals(frame.rx_ns, FRAME_BITS * 1e9 / rate if rate else 0.0)
+        arrivals = state.buses[frame.bus] = Arrivals(
+            frame.rx_ns, LATENESS.frame_bits * 1e9 / rate if rate else 0.0
+        )
         return
     _take(state, arrivals, frame.rx_ns, round(arrivals.usual_ns))
 
@@ -65,9 +76,11 @@ def take_wheel(state: Lateness, rx_ns: int) -> None:
     """Take the stamp of a reading of the wheel angle."""
     arrivals = state.wheel
     if arrivals.last_ns:
-        interval = min(max(0, rx_ns - arrivals.last_ns), DOUBT_NS)
-        arrivals.usual_ns += (interval - arrivals.usual_ns) / MEMORY if arrivals.usual_ns else interval
-    _take(state, arrivals, rx_ns, min(HEAP_NS, round(arrivals.usual_ns / 4.0)))
+        interval = min(max(0, rx_ns - arrivals.last_ns), LATENESS.doubt_ns)
+        arrivals.usual_ns += (
+            (interval - arrivals.usual_ns) / LATENESS.memory if arrivals.usual_ns else interval
+        )
+    _take(state, arrivals, rx_ns, min(LATENESS.heap_ns, round(arrivals.usual_ns / 4.0)))
 
 
 def _take(state: Lateness, arrivals: Arrivals, rx_ns: int, closest_ns: int) -> None:
@@ -79,10 +92,10 @@ def _take(state: Lateness, arrivals: Arrivals, rx_ns: int, closest_ns: int) -> N
         return
     arrivals.heap += 1
     arrivals.waited_ns += arrivals.usual_ns - max(0, interval)
-    if min(arrivals.waited_ns, arrivals.idle_ns) < LATE_NS:
+    if min(arrivals.waited_ns, arrivals.idle_ns) < LATENESS.late_ns:
         return
     state.late += arrivals.heap
     arrivals.heap = 0
     if state.until_ns < rx_ns - arrivals.idle_ns:
         state.from_ns = rx_ns - arrivals.idle_ns
-    state.until_ns = rx_ns + DOUBT_NS
+    state.until_ns = rx_ns + LATENESS.doubt_ns

@@ -12,30 +12,39 @@ that of arrival, nothing here can tell.
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import EventKind, Frame
+from tilth.schemas.messages import DAY_NS
 from tilth.schemas.notices import Notice, NoticeCode, notice
 
-OUT_OF_ORDER_NS: Final = 500_000_000  # stamps that differ by less than this are only out of order
-SILENCE_NS: Final = 10_000_000_000  # no frame for so long: nothing continues across
-EARLIER_LASTS_NS: Final = 1_500_000_000
-"""How long most frames must have an earlier time before it is accepted: a device that sends once a second on
-the old clock would have sent by then."""
-LATER_LASTS_NS: Final = 500_000_000  # the same for a later time: longer than the frames of one long message
-LONGEST_INTERVAL_NS: Final = 200_000_000  # a longer time between frames counts as this: it may be delayed
-LONE_FRAME_NS: Final = 1_000_000_000  # a larger gap between two stray frames shows that the first was alone
-GAP_LASTS_NS: Final = 10_000_000_000  # in which the longest usual gap between two frames is forgotten
-ESTABLISHED: Final = 16  # frames that agree on a time; fewer may be the exception themselves
-CERTAIN: Final = 24  # frames of two senders in excess of all others: no accident
-LAG_NS: Final = 200_000_000
-"""A bus that is always more than this ahead or behind of the others has a clock of its own: what is only out
-of order is sometimes beside them."""
-MOST_LAG_NS: Final = 1_500_000_000  # more shows by other signs
-APART_VARIES_NS: Final = 100_000_000  # by which such a distance may vary
-APART_LASTS_NS: Final = 1_000_000_000  # before the bus is aligned
-SLEW_NS: Final = 1_000_000  # by which one frame may change the alignment of a bus
-COARSE_NS: Final = 100_000_000  # steps of stamps that are all as long as this align nothing
-COARSE_AFTER: Final = 400  # frames
-DAY_NS: Final = 86_400_000_000_000
+
+@dataclass(frozen=True, slots=True)
+class LogTimeTuning:
+    """When stamps of frames tell of a silence, of a step of a clock, or of a bus with a clock of its own."""
+
+    out_of_order_ns: int = tuned(500_000_000, "ns", "stamps that differ by less are only out of order")
+    silence_ns: int = tuned(10_000_000_000, "ns", "no frame for so long: nothing continues across")
+    earlier_lasts_ns: int = tuned(
+        1_500_000_000, "ns", "for which most frames have an earlier time until it counts"
+    )
+    """A device that sends once a second on the old clock would have sent by then."""
+    later_lasts_ns: int = tuned(500_000_000, "ns", "same for a later time: longer than one long message")
+    longest_interval_ns: int = tuned(200_000_000, "ns", "a longer time between frames counts as this")
+    lone_frame_ns: int = tuned(1_000_000_000, "ns", "a larger gap of two stray frames: the first was alone")
+    gap_lasts_ns: int = tuned(10_000_000_000, "ns", "in which the longest usual gap of frames is forgotten")
+    established: int = tuned(16, "frames", "that agree on a time; fewer may be the exception themselves")
+    certain: int = tuned(24, "frames", "of two senders in excess of all others: no accident")
+    lag_ns: int = tuned(200_000_000, "ns", "a bus that is always further ahead or behind has its own clock")
+    """What is only out of order is sometimes beside them."""
+    most_lag_ns: int = tuned(1_500_000_000, "ns", "a larger lag shows by other signs")
+    apart_varies_ns: int = tuned(100_000_000, "ns", "by which the lag of a bus may vary")
+    apart_lasts_ns: int = tuned(1_000_000_000, "ns", "for which it lasts before the bus is aligned")
+    slew_ns: int = tuned(1_000_000, "ns", "by which one frame may change the alignment of a bus")
+    coarse_ns: int = tuned(100_000_000, "ns", "steps of stamps that are all as long as this align nothing")
+    coarse_after: int = tuned(400, "frames", "after which it is known how long the steps are")
+
+
+LOG_TIME: Final = LogTimeTuning()
 
 
 @dataclass(slots=True)
@@ -88,13 +97,15 @@ class LogTime:
     bus_ns: dict[str, int] = field(default_factory=dict)  # bus -> its greatest stamp since the last jump
     off_time: dict[str, OffTimeFrames] = field(default_factory=dict)  # by bus
     apart: dict[str, ApartBus] = field(default_factory=dict)  # by bus, of those that may have another clock
-    near: dict[str, int] = field(default_factory=dict)  # bus -> frames beside those of others, up to CERTAIN
+    near: dict[str, int] = field(
+        default_factory=dict
+    )  # bus -> frames beside those of others, up to `certain`
     last_bus: str = ""  # of the frame before
     coarse: bool = False  # which has been reported
     step_ns: int = 0  # shortest time between two different stamps; 0 before there were two
     gap_ns: int = 0  # longest time between two frames lately
     in_time: int = 0  # frames at this time since the last jump
-    first: dict[str, int] = field(default_factory=dict)  # sender -> frames, of the first ESTABLISHED
+    first: dict[str, int] = field(default_factory=dict)  # sender -> frames, of the first `established`
     begun: bool = False  # the log's time has been established, or has jumped
     offset_ns: dict[str, int] = field(default_factory=dict)  # bus of another clock -> what its stamps lack
     strays: dict[str, Strays] = field(default_factory=dict)  # by sender
@@ -121,8 +132,8 @@ def take_stamp(time: LogTime, frame: Frame) -> int | None:
         if advance_ns:
             time.step_ns = min(time.step_ns or advance_ns, advance_ns)
         time.passed_ns += advance_ns
-        kept_ns = time.gap_ns - time.gap_ns * min(advance_ns, GAP_LASTS_NS) // GAP_LASTS_NS
-        time.gap_ns = max(min(advance_ns, SILENCE_NS), kept_ns)
+        kept_ns = time.gap_ns - time.gap_ns * min(advance_ns, LOG_TIME.gap_lasts_ns) // LOG_TIME.gap_lasts_ns
+        time.gap_ns = max(min(advance_ns, LOG_TIME.silence_ns), kept_ns)
     time.bus_ns[frame.bus] = max(t_ns, time.bus_ns.get(frame.bus, 0))
     time.latest_ns = max(t_ns, latest_ns)
     _support(time, frame)
@@ -163,7 +174,7 @@ def _side(time: LogTime, frame: Frame) -> int:
     """Where the frame is: 0 at the log's time, -1 before it, 1 after it."""
     if not time.latest_ns:
         return 0
-    if frame.t_ns < time.latest_ns - OUT_OF_ORDER_NS:
+    if frame.t_ns < time.latest_ns - LOG_TIME.out_of_order_ns:
         return -1
     # A frame that waited in a queue is no sign of a silence.
     return 1 if min(frame.rx_ns, frame.t_ns) > time.latest_ns + _usual_gap_ns(time) else 0
@@ -175,11 +186,11 @@ def _is_apart(time: LogTime, frame: Frame) -> bool:
     bus, others = frame.bus, [ns for name, ns in time.bus_ns.items() if name != frame.bus]
     if bus not in time.near:
         time.near = dict.fromkeys((*time.near, bus), 0)  # what was heard before it was beside nobody
-    if not others or time.near[bus] >= CERTAIN:
+    if not others or time.near[bus] >= LOG_TIME.certain:
         return False
     off_ns, apart = frame.t_ns - max(others), time.apart.get(bus)
-    if not LAG_NS < abs(off_ns) < MOST_LAG_NS or (apart is None and time.last_bus == bus):
-        time.near[bus] += abs(off_ns) <= LAG_NS
+    if not LOG_TIME.lag_ns < abs(off_ns) < LOG_TIME.most_lag_ns or (apart is None and time.last_bus == bus):
+        time.near[bus] += abs(off_ns) <= LOG_TIME.lag_ns
         if apart is not None:  # it was only out of order, or alone for a while
             del time.apart[bus]
             time.strays = _sum(time.strays, apart.strays)
@@ -187,16 +198,16 @@ def _is_apart(time: LogTime, frame: Frame) -> bool:
     if apart is None:
         apart = time.apart[bus] = ApartBus(frame.t_ns, off_ns, off_ns)
     apart.least_ns, apart.most_ns = min(off_ns, apart.least_ns), max(off_ns, apart.most_ns)
-    if apart.most_ns - apart.least_ns > APART_VARIES_NS:
+    if apart.most_ns - apart.least_ns > LOG_TIME.apart_varies_ns:
         apart.since_ns, apart.frames, apart.least_ns, apart.most_ns = frame.t_ns, 0, off_ns, off_ns
     apart.frames += 1
     time.stray += 1
     _count(apart.strays, frame, off_ns)
-    if apart.frames >= ESTABLISHED and frame.t_ns - apart.since_ns >= APART_LASTS_NS:
+    if apart.frames >= LOG_TIME.established and frame.t_ns - apart.since_ns >= LOG_TIME.apart_lasts_ns:
         by_ns = -apart.least_ns if apart.least_ns > 0 else -apart.most_ns
         time.offset_ns[bus] = time.offset_ns.get(bus, 0) + by_ns
         time.strays = _sum(time.strays, apart.strays)
-        time.near[bus] = CERTAIN
+        time.near[bus] = LOG_TIME.certain
         del time.apart[bus]
         _tell_aligned(time, bus, time.offset_ns[bus])
     return True
@@ -205,21 +216,21 @@ def _is_apart(time: LogTime, frame: Frame) -> bool:
 def _usual_gap_ns(time: LogTime) -> int:
     """How much later than the one before a frame may be."""
     if time.in_time < 2:
-        return SILENCE_NS
-    return min(SILENCE_NS, max(OUT_OF_ORDER_NS, 2 * time.gap_ns))
+        return LOG_TIME.silence_ns
+    return min(LOG_TIME.silence_ns, max(LOG_TIME.out_of_order_ns, 2 * time.gap_ns))
 
 
 def _support(time: LogTime, frame: Frame) -> None:
     """Count a frame at the log's time."""
-    if time.in_time < ESTABLISHED and not time.begun:
+    if time.in_time < LOG_TIME.established and not time.begun:
         sender = _sender(frame)
         time.first[sender] = time.first.get(sender, 0) + 1
     time.in_time += 1
-    if time.in_time % COARSE_AFTER == 0 and time.step_ns >= COARSE_NS and not time.coarse:
+    if time.in_time % LOG_TIME.coarse_after == 0 and time.step_ns >= LOG_TIME.coarse_ns and not time.coarse:
         time.coarse = True
         coarse = notice(NoticeCode.COARSE_STAMPS, step_s=time.step_ns / 1e9)
         time.news.append((EventKind.COARSE_STAMPS, coarse))
-    if time.in_time == ESTABLISHED:
+    if time.in_time == LOG_TIME.established:
         time.begun = True
         time.first.clear()
 
@@ -243,11 +254,23 @@ def _off_time_frame(time: LogTime, frame: Frame, side: int) -> int | None:
         off_time = None
     if off_time is None:
         off_time = time.off_time[frame.bus] = OffTimeFrames(
-            time.latest_ns, at_ns, at_ns, at_ns, SILENCE_NS, time.passed_ns, ahead_ns=at_ns - time.latest_ns
+            time.latest_ns,
+            at_ns,
+            at_ns,
+            at_ns,
+            LOG_TIME.silence_ns,
+            time.passed_ns,
+            ahead_ns=at_ns - time.latest_ns,
         )
     # If its bus goes on in order, that bus has another clock.
-    in_order = at_ns >= time.bus_ns.get(frame.bus, 0) - OUT_OF_ORDER_NS
-    needed_ns = LATER_LASTS_NS if side > 0 else SILENCE_NS if in_order else EARLIER_LASTS_NS
+    in_order = at_ns >= time.bus_ns.get(frame.bus, 0) - LOG_TIME.out_of_order_ns
+    needed_ns = (
+        LOG_TIME.later_lasts_ns
+        if side > 0
+        else LOG_TIME.silence_ns
+        if in_order
+        else LOG_TIME.earlier_lasts_ns
+    )
     off_time.needed_ns = min(needed_ns, off_time.needed_ns)
     interval_ns = _extend(off_time, at_ns)
     _count(off_time.strays, frame, at_ns - time.latest_ns)
@@ -261,14 +284,14 @@ def _off_time_frame(time: LogTime, frame: Frame, side: int) -> int | None:
 def _belongs(off_time: OffTimeFrames, at_ns: int, side: int) -> bool:
     """Whether a frame goes on from a series of frames at another time. Later ones may be rare."""
     later = off_time.since_ns > off_time.from_ns
-    if later != (side > 0) or at_ns < off_time.latest_ns - OUT_OF_ORDER_NS:
+    if later != (side > 0) or at_ns < off_time.latest_ns - LOG_TIME.out_of_order_ns:
         return False
-    return later or at_ns <= off_time.latest_ns + LONE_FRAME_NS
+    return later or at_ns <= off_time.latest_ns + LOG_TIME.lone_frame_ns
 
 
 def _extend(off_time: OffTimeFrames, at_ns: int) -> int:
     """Add one more frame to the series. Returns by how much longer it has lasted, ns."""
-    interval_ns = min(max(0, at_ns - off_time.last_ns), LONGEST_INTERVAL_NS)
+    interval_ns = min(max(0, at_ns - off_time.last_ns), LOG_TIME.longest_interval_ns)
     off_time.lasted_ns += interval_ns
     off_time.latest_ns = max(at_ns, off_time.latest_ns)
     off_time.last_ns = at_ns
@@ -286,13 +309,13 @@ def _outnumber(time: LogTime, off_time: OffTimeFrames) -> bool:
     if _others_go_on(off_time):
         return False
     later = off_time.since_ns > off_time.from_ns
-    certain = off_time.votes >= CERTAIN and len(off_time.strays) > 1
-    if time.in_time < ESTABLISHED:
-        lasted = off_time.lasted_ns >= LATER_LASTS_NS
+    certain = off_time.votes >= LOG_TIME.certain and len(off_time.strays) > 1
+    if time.in_time < LOG_TIME.established:
+        lasted = off_time.lasted_ns >= LOG_TIME.later_lasts_ns
         return off_time.votes > time.in_time and (certain or lasted)
     if later and certain:
         return True
-    return off_time.votes >= ESTABLISHED and off_time.lasted_ns >= off_time.needed_ns
+    return off_time.votes >= LOG_TIME.established and off_time.lasted_ns >= off_time.needed_ns
 
 
 def _in_time_again(time: LogTime, frame: Frame) -> int:
@@ -304,7 +327,7 @@ def _in_time_again(time: LogTime, frame: Frame) -> int:
     own = time.off_time.get(frame.bus)
     if own is not None:
         by_ns, latest_ns = own.since_ns - own.from_ns, max(one.latest_ns for one in time.off_time.values())
-        if by_ns < 0 and frame.t_ns - latest_ns <= min(LONGEST_INTERVAL_NS, -by_ns // 2):
+        if by_ns < 0 and frame.t_ns - latest_ns <= min(LOG_TIME.longest_interval_ns, -by_ns // 2):
             _extend(own, frame.t_ns)
             return _accept_jump(time, own, frame) if _outnumber(time, own) else 0
         own.votes -= 1
@@ -321,11 +344,11 @@ def _align(time: LogTime, off_time: OffTimeFrames, frame: Frame, ahead_ns: int, 
     ahead_ns: how far this frame is ahead of the log's time. interval_ns: time from the frame before it.
     """
     off_time.aligned_ns += interval_ns
-    if abs(ahead_ns - off_time.ahead_ns) > OUT_OF_ORDER_NS:
+    if abs(ahead_ns - off_time.ahead_ns) > LOG_TIME.out_of_order_ns:
         off_time.ahead_ns, off_time.aligned_ns = ahead_ns, 0
     off_time.ahead_ns = min(ahead_ns, off_time.ahead_ns)
-    enough = off_time.votes >= ESTABLISHED and off_time.others >= ESTABLISHED
-    if not enough or off_time.aligned_ns < EARLIER_LASTS_NS:
+    enough = off_time.votes >= LOG_TIME.established and off_time.others >= LOG_TIME.established
+    if not enough or off_time.aligned_ns < LOG_TIME.earlier_lasts_ns:
         return
     before_ns = time.offset_ns.get(frame.bus, 0)
     offset_ns = time.offset_ns[frame.bus] = before_ns - off_time.ahead_ns
@@ -345,11 +368,11 @@ def _follow(time: LogTime, frame: Frame) -> None:
     others = [ns for bus, ns in time.bus_ns.items() if bus != frame.bus]
     if frame.bus in time.offset_ns:
         behind_ns = max(others, default=0) - frame.t_ns
-        time.offset_ns[frame.bus] += min(max(behind_ns, 0), SLEW_NS)
+        time.offset_ns[frame.bus] += min(max(behind_ns, 0), LOG_TIME.slew_ns)
         return
     for bus in time.offset_ns:
         ahead_ns = time.bus_ns.get(bus, 0) - frame.t_ns
-        time.offset_ns[bus] -= min(max(ahead_ns, 0), SLEW_NS)
+        time.offset_ns[bus] -= min(max(ahead_ns, 0), LOG_TIME.slew_ns)
 
 
 def _accept_jump(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
@@ -364,20 +387,20 @@ def _accept_jump(time: LogTime, off_time: OffTimeFrames, frame: Frame) -> int:
             _tell(time, sender)
         time.passed_ns = lasted_ns
     else:
-        silent = by_ns >= SILENCE_NS
+        silent = by_ns >= LOG_TIME.silence_ns
         time.passed_ns = off_time.passed_ns + lasted_ns + (by_ns if by_ns > 0 and not silent else 0)
         time.silent_ns += by_ns if silent else 0
     time.latest_ns = max(frame.t_ns, off_time.latest_ns)
     time.bus_ns = {frame.bus: time.latest_ns}
     if by_ns > 0:
         time.step_ns = min(time.step_ns or by_ns, by_ns)
-    time.gap_ns = by_ns if 0 < by_ns < SILENCE_NS else 0
-    time.in_time, time.begun = off_time.votes if off_time.votes >= ESTABLISHED else 1, True
+    time.gap_ns = by_ns if 0 < by_ns < LOG_TIME.silence_ns else 0
+    time.in_time, time.begun = off_time.votes if off_time.votes >= LOG_TIME.established else 1, True
     time.first.clear()
     for bus, other in list(
         time.off_time.items()
     ):  # they were not stray: they were the first with the new time
-        if other is off_time or abs(other.latest_ns - time.latest_ns) <= OUT_OF_ORDER_NS:
+        if other is off_time or abs(other.latest_ns - time.latest_ns) <= LOG_TIME.out_of_order_ns:
             time.stray -= sum(strays.frames for strays in other.strays.values())
             del time.off_time[bus]
         else:

@@ -13,9 +13,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.pose.moments import Moments
 from tilth.estimator.rig.geometry import rotate
-from tilth.estimator.rig.residuals import CRUISE
+from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import BodyPose, Pose
 from tilth.schemas.reasons import Code
@@ -23,18 +25,26 @@ from tilth.schemas.reasons import Code
 Array = NDArray[np.float64]
 
 NAMES: Final = ("tractor", "implement")
-STEP_NS: Final = 200_000_000  # from pose to pose
-INTERVAL: Final = 10  # poses (2 s): several metres, large against the noise of positions
-INTERVAL_MEMORY: Final = 10.0  # intervals (20 s) over which the mean forgets
-LEAST_INTERVALS: Final = 5.0
-LARGEST_DISTANCE_ERROR: Final = 0.1  # share: slip, slope and latency at a nearly constant speed cause less
-ROLL_MEMORY: Final = 300.0  # poses (60 s) over which the moments of roll forget
-LEAST_ROLL_POSES: Final = 75.0  # poses (15 s) before rolls are judged
-LEAST_ACCELERATION_SD: Final = 0.3  # m/s^2: with less lateral acceleration, its effect on roll is not judged
-LEAST_CORRELATION: Final = 0.8  # of roll and lateral acceleration
-TURNED: Final = 0.01  # mean square of cosine and sine of the heading that shows a slope
-LARGEST_ROLL_GRADIENT: Final = 0.05  # rad/(m/s^2); a body on its tyres has 0.004 to 0.03
-LARGEST_ROLL_DIFFERENCE: Final = math.radians(10.0)  # one wheel in a furrow rolls a tractor by less
+
+
+@dataclass(frozen=True, slots=True)
+class MotionCheckTuning:
+    """When distances or rolls do not go with the motion."""
+
+    interval: int = tuned(10, "poses", "2 s: several metres, large against the noise of positions")
+    interval_memory: float = tuned(10.0, "intervals", "20 s over which the mean forgets")
+    least_intervals: float = tuned(5.0, "intervals", "before a distance is judged")
+    largest_distance_error: float = tuned(0.1, "1", "slip, slope and latency at constant speed cause less")
+    roll_memory: float = tuned(300.0, "poses", "60 s over which the moments of roll forget")
+    least_roll_poses: float = tuned(75.0, "poses", "15 s before rolls are judged")
+    least_acceleration_sd: float = tuned(0.3, "m/s^2", "lateral: with less, its effect on roll is not judged")
+    least_correlation: float = tuned(0.8, "1", "of roll and lateral acceleration")
+    turned: float = tuned(0.01, "1", "mean square of cosine and sine of the heading that shows a slope")
+    largest_roll_gradient: float = tuned(0.05, "rad s^2/m", "a body on its tyres has 0.004 to 0.03")
+    largest_roll_difference: float = tuned(math.radians(10.0), "rad", "more than a wheel in a furrow")
+
+
+MOTION_CHECK: Final = MotionCheckTuning()
 
 
 @dataclass(slots=True)
@@ -62,7 +72,7 @@ class MotionCheck:
 
 def observe(state: MotionCheck, pose: Pose) -> None:
     """Take one pose."""
-    follows = pose.t_ns - state.last_pose_ns == STEP_NS
+    follows = pose.t_ns - state.last_pose_ns == ALIGNMENT.pose_ns
     state.last_pose_ns = pose.t_ns
     for body, body_pose in zip(state.bodies, (pose.tractor, pose.implement), strict=True):
         if not follows:
@@ -75,19 +85,23 @@ def found(state: MotionCheck) -> list[Diagnosis]:
     """What is contradictory now."""
     wrong = []
     for name, body in zip(NAMES, state.bodies, strict=True):
-        ratio = body.displacement_integral / body.integral_squared if body.weight >= LEAST_INTERVALS else 1.0
-        if abs(ratio - 1.0) > LARGEST_DISTANCE_ERROR:
+        ratio = (
+            body.displacement_integral / body.integral_squared
+            if body.weight >= MOTION_CHECK.least_intervals
+            else 1.0
+        )
+        if abs(ratio - 1.0) > MOTION_CHECK.largest_distance_error:
             key = f"receiver on the {name} (source, latency)"
             wrong.append(Diagnosis(Code.FARTHER_THAN_SPEED, key, (name,), amounts=(ratio,)))
         gradient = _gradient(body)
-        if abs(gradient) > LARGEST_ROLL_GRADIENT:
+        if abs(gradient) > MOTION_CHECK.largest_roll_gradient:
             key = f"receiver on the {name} (roll)"
             wrong.append(Diagnosis(Code.ROLL_FOLLOWS_TURNS, key, (name,), amounts=(gradient,)))
     tractor, implement = state.bodies
     difference = float(tractor.rolls.mean[1] - implement.rolls.mean[1])
     if (
-        min(tractor.rolls.weight, implement.rolls.weight) >= LEAST_ROLL_POSES
-        and abs(difference) > LARGEST_ROLL_DIFFERENCE
+        min(tractor.rolls.weight, implement.rolls.weight) >= MOTION_CHECK.least_roll_poses
+        and abs(difference) > MOTION_CHECK.largest_roll_difference
     ):
         wrong.append(Diagnosis(Code.LEAN_APART, "receiver (roll)", amounts=(difference,)))
     return wrong
@@ -96,7 +110,7 @@ def found(state: MotionCheck) -> list[Diagnosis]:
 def roll_check_pending(state: MotionCheck) -> bool:
     """Whether rolls of both bodies are measured, but not yet for long enough to compare them."""
     tractor, implement = (body.rolls.weight for body in state.bodies)
-    return min(tractor, implement) > 0.0 and min(tractor, implement) < LEAST_ROLL_POSES
+    return min(tractor, implement) > 0.0 and min(tractor, implement) < MOTION_CHECK.least_roll_poses
 
 
 def _take_motion(body: BodyMotion, body_pose: BodyPose) -> None:
@@ -107,7 +121,7 @@ def _take_motion(body: BodyMotion, body_pose: BodyPose) -> None:
         or body_pose.y is None
         or speed is None
         or body_pose.heading is None
-        or abs(speed) < CRUISE
+        or abs(speed) < DRIVING.cruise
     ):
         body.place = None
         return
@@ -116,17 +130,17 @@ def _take_motion(body: BodyMotion, body_pose: BodyPose) -> None:
     if body.place is None:
         body.place, body.integral, body.poses = (body_pose.x, body_pose.y), (0.0, 0.0), 0
         return
-    half_s = STEP_NS * 1e-9 / 2
+    half_s = ALIGNMENT.pose_ns * 1e-9 / 2
     north, east = ((one + other) * half_s for one, other in zip(before, body.velocity, strict=True))
     body.integral = (body.integral[0] + north, body.integral[1] + east)
     body.poses += 1
-    if body.poses == INTERVAL:
+    if body.poses == MOTION_CHECK.interval:
         _add_interval(body, (body_pose.x - body.place[0], body_pose.y - body.place[1]))
         body.place, body.integral, body.poses = (body_pose.x, body_pose.y), (0.0, 0.0), 0
 
 
 def _add_interval(body: BodyMotion, displacement: tuple[float, float]) -> None:
-    keep = 1.0 - 1.0 / INTERVAL_MEMORY
+    keep = 1.0 - 1.0 / MOTION_CHECK.interval_memory
     body.weight = keep * body.weight + 1.0
     body.displacement_integral = (
         keep * body.displacement_integral
@@ -140,24 +154,24 @@ def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
     speed, psi = body_pose.forward_velocity, body_pose.heading
     if body_pose.roll is None or body_pose.yaw_rate is None or speed is None or psi is None:
         return
-    if abs(speed) < CRUISE:
+    if abs(speed) < DRIVING.cruise:
         return
     sample = np.array([speed * body_pose.yaw_rate, body_pose.roll, math.cos(psi), math.sin(psi)])
-    body.rolls.add(sample, ROLL_MEMORY)
+    body.rolls.add(sample, MOTION_CHECK.roll_memory)
 
 
 def _gradient(body: BodyMotion) -> float:
     """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0. What goes with the
     heading is the slope of the field, as a plane."""
-    if body.rolls.weight < LEAST_ROLL_POSES:
+    if body.rolls.weight < MOTION_CHECK.least_roll_poses:
         return 0.0
     moments = body.rolls.covariance
-    by_heading = np.linalg.solve(moments[2:, 2:] + TURNED * np.eye(2), moments[2:, :2])
+    by_heading = np.linalg.solve(moments[2:, 2:] + MOTION_CHECK.turned * np.eye(2), moments[2:, :2])
     left = moments[:2, :2] - moments[:2, 2:] @ by_heading
     acceleration_sd, roll_sd = np.sqrt(np.maximum(np.diag(left), 0.0))
     covariance = left[0, 1]
-    if acceleration_sd < LEAST_ACCELERATION_SD:
+    if acceleration_sd < MOTION_CHECK.least_acceleration_sd:
         return 0.0
-    if abs(covariance) < LEAST_CORRELATION * acceleration_sd * max(roll_sd, 1e-9):
+    if abs(covariance) < MOTION_CHECK.least_correlation * acceleration_sd * max(roll_sd, 1e-9):
         return 0.0
     return float(covariance / acceleration_sd**2)

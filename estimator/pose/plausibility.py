@@ -13,44 +13,57 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
+from typing import Final
 
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.rig.geometry import Vector
 from tilth.estimator.rig.lifecycle import Persistence
 from tilth.estimator.rig.residuals import pair_of, seen_hitch
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Flag, FlagKind, Mount
 from tilth.schemas.machine import Machine
 
-MISFIT = 0.6  # m: largest score of a right assignment, at rest
-SMEAR = 3.0  # sds of the timing error of a point, as a distance, that are added to it
-PERSISTENCE = 3  # poses in a row before a flag is raised
-MEMORY = 40.0  # poses (8 s) of the means
-POSES_TO_DECIDE = 60  # poses in a mean that is just above its limit before it counts; fewer if it is larger
-LEAST_POSES = 15  # but never fewer than these
-LARGEST_EXCESS = 0.15  # m: a larger mean is no error of a survey, unless the file allows one
-LEAST_LIMIT = 0.12  # m, of the error of a pair's length, or SURVEY_SDS
-SURVEY_SDS = 4.0  # of what the file says of survey and receivers
-PITCH = 0.1  # rad, by which a pair of unequal heights may be pitched
-LARGEST_CRAB_ANGLE = 0.07  # rad: on a slope of 5 degrees a body crabs by less
+
+@dataclass(frozen=True, slots=True)
+class PlausibilityTuning:
+    """Which receivers are where the machine file has them."""
+
+    misfit: float = tuned(0.6, "m", "largest score of a right assignment, at rest")
+    smear: float = tuned(3.0, "sd", "of the timing error of a point, as a distance, that are added to it")
+    persistence: int = tuned(3, "poses", "in a row before a flag is raised")
+    memory: float = tuned(40.0, "poses", "8 s of the means")
+    poses_to_decide: int = tuned(60, "poses", "in a mean just above its limit before it counts")
+    least_poses: int = tuned(15, "poses", "but never fewer than these")
+    largest_excess: float = tuned(0.15, "m", "a larger mean is no error of a survey, unless the file has one")
+    least_limit: float = tuned(0.12, "m", "of the error of a pair's length, if `survey_sds` allow less")
+    survey_sds: float = tuned(4.0, "sd", "of what the file says of survey and receivers")
+    pitch: float = tuned(0.1, "rad", "by which a pair of unequal heights may be pitched")
+    largest_crab_angle: float = tuned(0.07, "rad", "on a slope of 5° a body crabs by less")
+
+
+PLAUSIBILITY: Final = PlausibilityTuning()
+
 
 PAIRS = ((Mount.TRACTOR_FRONT, Mount.TRACTOR_REAR), (Mount.IMPLEMENT_FRONT, Mount.IMPLEMENT_REAR))
 
 
 @dataclass(slots=True)
 class Mean:
-    """Mean over the last MEMORY poses."""
+    """Mean over the last `memory` poses."""
 
     value: float = 0.0
     count: int = 0
 
     def add(self, value: float) -> None:
         self.count += 1
-        self.value += (value - self.value) / min(self.count, MEMORY)
+        self.value += (value - self.value) / min(self.count, PLAUSIBILITY.memory)
 
     def exceeds(self, limit: float) -> bool:
         """Whether its size is certainly above the limit; far above, fewer poses suffice."""
         size = abs(self.value)
-        return size > limit and self.count >= max(LEAST_POSES, POSES_TO_DECIDE * limit / size)
+        return size > limit and self.count >= max(
+            PLAUSIBILITY.least_poses, PLAUSIBILITY.poses_to_decide * limit / size
+        )
 
 
 @dataclass(slots=True)
@@ -69,8 +82,10 @@ class LongTermMeans:
         return [
             i
             for i, limit in enumerate(pair_limits(machine))
-            if self.excess[i].exceeds(max(LARGEST_EXCESS, limit) + SMEAR * sd_timing)
-            or self.crab_angle[i].exceeds(LARGEST_CRAB_ANGLE)
+            if self.excess[i].exceeds(
+                max(PLAUSIBILITY.largest_excess, limit) + PLAUSIBILITY.smear * sd_timing
+            )
+            or self.crab_angle[i].exceeds(PLAUSIBILITY.largest_crab_angle)
         ]
 
 
@@ -86,7 +101,7 @@ class Suspicion:
         if found != self.verdict:
             self.verdict, self.same = found, Persistence()
         self.same.look(True)
-        return found if self.same.seen >= PERSISTENCE else ()
+        return found if self.same.seen >= PLAUSIBILITY.persistence else ()
 
 
 @once_for_a_machine
@@ -98,7 +113,10 @@ def pair_limits(machine: Machine) -> tuple[float, float]:
         pair = [r for r in machine.receiver if r.mount.body == body]
         sd = math.hypot(*(math.hypot(r.survey_sd, 0.5 * r.position_sd) for r in pair))
         heights = [r.position[2] for r in pair] or [0.0]
-        limits.append(max(LEAST_LIMIT, SURVEY_SDS * sd) + PITCH * (max(heights) - min(heights)))
+        limits.append(
+            max(PLAUSIBILITY.least_limit, PLAUSIBILITY.survey_sds * sd)
+            + PLAUSIBILITY.pitch * (max(heights) - min(heights))
+        )
     return limits[0], limits[1]
 
 
@@ -136,7 +154,7 @@ def check_instant(
 
     sd_timing: sd of a point from timing errors, m. Others: as `misfit`.
     """
-    tolerance = MISFIT + SMEAR * sd_timing
+    tolerance = PLAUSIBILITY.misfit + PLAUSIBILITY.smear * sd_timing
     if misfit(points, levers, c, d) < tolerance:
         return ()
     mounts = list(points)

@@ -10,36 +10,37 @@ Flags of the pose name what is missing. What can be given depends on the receive
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import (
-    FIX_NS,
-    LOST_NS,
-    MOUNTS,
-    POSE_NS,
-    WHEEL,
-    WHEEL_HOLD_NS,
-    Aligner,
-    due,
-)
+from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, WHEEL, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
-from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, angle_at, sample_at
 from tilth.estimator.rig.geometry import Vector, lever, wrap
-from tilth.estimator.rig.residuals import CRUISE, UNDER_WAY, hitch_gap, pair_of, sideways
+from tilth.estimator.rig.residuals import hitch_gap, pair_of, sideways
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import BodyPose, FixType, Flag, FlagKind, Mount, Pose
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
 
-MOVING = 0.3  # m/s
-STRAIGHT = 0.05  # rad/s: at smaller yaw rates a body at CRUISE or faster moves where it points
-CREEP = 0.7  # m/s: at lower speeds no latency shifts a point by more than the survey's error
-SHARP_POSITION_SD = 0.1  # m: positions with a larger sd are not compared with the survey
-LATENCY_SDS = 2.5  # sds of the machine file: further off, latency or position of the receiver is wrong
-LATENCY_SLACK_S = 0.02
-UNKNOWN_TILT = math.radians(1.5)  # sd of a roll or pitch that is not measured
-LONGEST_YAW_RATE_HEADING_NS = 5_000_000_000  # a heading is continued by the yaw rate at most this long
-YAW_RATE_HEADING_WALK = math.radians(0.3)  # rad per sqrt(s), growth of its sd
+
+@dataclass(frozen=True, slots=True)
+class PoseTuning:
+    """What poses hold, continue and compare."""
+
+    straight: float = tuned(0.05, "rad/s", "at smaller yaw rates a body at cruise moves where it points")
+    sharp_position_sd: float = tuned(0.1, "m", "positions with a larger sd are not compared with the survey")
+    latency_sds: float = tuned(2.5, "sd", "of the machine file: further off, latency or position is wrong")
+    latency_slack_s: float = tuned(0.02, "s", "by which it may be further off all the same")
+    unknown_tilt: float = tuned(math.radians(1.5), "rad", "sd of a roll or pitch that is not measured")
+    longest_yaw_rate_heading_ns: int = tuned(5_000_000_000, "ns", "a heading goes on by the yaw rate at most")
+    yaw_rate_heading_walk: float = tuned(math.radians(0.3), "rad/s^0.5", "growth of its sd")
+
+
+POSE: Final = PoseTuning()
+
 BODIES = ((0, 1), (2, 3))  # indices into MOUNTS: tractor, implement
 NAMES = ("tractor", "implement")
 
@@ -86,7 +87,7 @@ def _pose_at(state: Aligner, t_ns: int) -> Pose:
     for body in bodies:
         _solve_body(state, body, t_ns, flags)
     state.last_pose_ns = t_ns
-    state.moving = bodies[0].velocity is not None and abs(bodies[0].velocity[0]) >= UNDER_WAY
+    state.moving = bodies[0].velocity is not None and abs(bodies[0].velocity[0]) >= DRIVING.under_way
     return _assemble(state, bodies, t_ns, flags)
 
 
@@ -95,7 +96,10 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
     for mount, track in state.tracks.items():
         index = MOUNTS.index(Mount(mount))
         excess_s = abs(state.latency.excess_ns(index)) * 1e-9
-        if excess_s > LATENCY_SDS * _receiver(state.machine, MOUNTS[index]).latency.sd + LATENCY_SLACK_S:
+        if (
+            excess_s
+            > POSE.latency_sds * _receiver(state.machine, MOUNTS[index]).latency.sd + POSE.latency_slack_s
+        ):
             flags.append(Flag(FlagKind.LATENCY, mount))
         if track.left_out:
             flags.append(Flag(FlagKind.LEFT_OUT, mount))
@@ -103,7 +107,7 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
             flags.append(Flag(FlagKind.NO_FIX, mount))
         elif not track.positions:
             flags.append(Flag(FlagKind.WAITING, mount))
-        if track.fix is not None and t_ns - track.fix_ns > FIX_NS:
+        if track.fix is not None and t_ns - track.fix_ns > ALIGNMENT.fix_ns:
             flags.append(Flag(FlagKind.FIX_UNKNOWN, mount))
         elif track.fix is FixType.RTK_FLOAT:
             flags.append(Flag(FlagKind.FLOATING, mount))
@@ -115,8 +119,10 @@ def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
 def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) -> _Body:
     """The measurements of one body's receivers, interpolated to t_ns; adds flags for what is missing."""
     present = state.in_use(index, t_ns)
-    roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, SLOW_HOLD_NS))])
-    pitch = _mean([s for _, tr, at in present if (s := sample_at(tr.pitches, at, SLOW_HOLD_NS))])
+    roll = _mean([s for _, tr, at in present if (s := sample_at(tr.rolls, at, RECEIVER_TRACK.slow_hold_ns))])
+    pitch = _mean(
+        [s for _, tr, at in present if (s := sample_at(tr.pitches, at, RECEIVER_TRACK.slow_hold_ns))]
+    )
     yaw_rate = _mean([s for _, tr, at in present if (s := tr.yaw_rate_at(at))])
     body = _Body(index, roll, yaw_rate, {})
     section = _section(state.machine, index)
@@ -125,7 +131,7 @@ def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) 
         found = track.position_at(at) if track.usable() else None
         if found is None:
             if track.usable() and track.positions:
-                repeating = track.repeated_ns > max(track.last_position_ns, t_ns - LOST_NS)
+                repeating = track.repeated_ns > max(track.last_position_ns, t_ns - ALIGNMENT.lost_ns)
                 flags.append(Flag(FlagKind.REPEATING if repeating else FlagKind.LOST, MOUNTS[i].value))
             continue
         point, sd, extrapolated = found
@@ -190,10 +196,10 @@ def _update_long_term_means(state: Aligner, bodies: list[_Body]) -> None:
         if body.pair is None:
             continue
         state.long_term.excess[body.index].add(body.pair.excess)
-        if body.pair_velocity is None or body.yaw_rate is None or abs(body.yaw_rate[0]) >= STRAIGHT:
+        if body.pair_velocity is None or body.yaw_rate is None or abs(body.yaw_rate[0]) >= POSE.straight:
             continue
         u, v, _ = body.pair_velocity
-        if math.hypot(u, v) > CRUISE:
+        if math.hypot(u, v) > DRIVING.cruise:
             # The absolute value makes forward and reverse alike: reversing is no fault.
             at_axle = sideways(v, body.yaw_rate[0], axle)
             state.long_term.crab_angle[body.index].add(math.atan2(at_axle, abs(u)))
@@ -203,7 +209,7 @@ def _update_parked_means(state: Aligner, bodies: list[_Body], ahead: float, acro
     """Add this instant to the means while parked, if the rig is so slow that latency has no effect."""
     antennas = [antenna for body in bodies for antenna in body.antennas.values()]
     speeds = [math.hypot(*antenna.velocity) if antenna.velocity else math.inf for antenna in antennas]
-    if max(speeds) > CREEP or max(antenna.sd for antenna in antennas) > SHARP_POSITION_SD:
+    if max(speeds) > DRIVING.creep or max(antenna.sd for antenna in antennas) > POSE.sharp_position_sd:
         return
     excesses = [body.pair.excess for body in bodies if body.pair is not None]
     for mean, value in zip(state.long_term.parked, (*excesses, ahead, across), strict=True):
@@ -214,9 +220,13 @@ def _reversed_bodies(state: Aligner, bodies: list[_Body]) -> list[int]:
     """[0], the tractor, if its receivers show the opposite of the direction that the vehicle reports; else
     []."""
     pair_velocity = bodies[0].pair_velocity
-    if pair_velocity is None or state.direction == 0 or state.last_pose_ns - state.direction_ns > LOST_NS:
+    if (
+        pair_velocity is None
+        or state.direction == 0
+        or state.last_pose_ns - state.direction_ns > ALIGNMENT.lost_ns
+    ):
         return []
-    backwards = abs(pair_velocity[0]) >= CRUISE and pair_velocity[0] * state.direction < 0
+    backwards = abs(pair_velocity[0]) >= DRIVING.cruise and pair_velocity[0] * state.direction < 0
     return [0] if backwards else []
 
 
@@ -236,7 +246,7 @@ def _sd_tilt(state: Aligner, body: _Body) -> float:
     for i in BODIES[body.index]:
         receiver = _receiver(state.machine, MOUNTS[i])
         heights.append(0.0 if receiver.roll_corrected else receiver.position[2])
-    return abs(heights[0] - heights[1]) * (body.roll[1] if body.roll else UNKNOWN_TILT)
+    return abs(heights[0] - heights[1]) * (body.roll[1] if body.roll else POSE.unknown_tilt)
 
 
 def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: list[Flag]) -> None:
@@ -247,7 +257,7 @@ def _solve_single(state: Aligner, body: _Body, other: _Body, t_ns: int, flags: l
     sources = {
         FlagKind.HEADING_BY_HITCH: _heading_by_hitch(state, body, other, antenna) if whole else None,
         FlagKind.HEADING_BY_REPORTED: angle_at(
-            track.headings, t_ns + state.latency.excess_ns(index), HOLD_NS
+            track.headings, t_ns + state.latency.excess_ns(index), RECEIVER_TRACK.hold_ns
         ),
         FlagKind.HEADING_BY_YAW_RATE: _heading_by_yaw_rate(state, body, t_ns),
     }
@@ -263,11 +273,11 @@ def _heading_by_yaw_rate(state: Aligner, body: _Body, t_ns: int) -> tuple[float,
     """(heading, sd), rad: that of the last pose with both receivers plus the integral of the yaw rate
     since."""
     previous = state.last_heading[body.index]
-    if previous is None or body.yaw_rate is None or t_ns - previous[0] > LONGEST_YAW_RATE_HEADING_NS:
+    if previous is None or body.yaw_rate is None or t_ns - previous[0] > POSE.longest_yaw_rate_heading_ns:
         return None
     carried = previous[1] + body.yaw_rate[0] * (t_ns - state.last_pose_ns) * 1e-9
     state.last_heading[body.index] = (previous[0], carried, previous[2])
-    return carried, previous[2] + YAW_RATE_HEADING_WALK * math.sqrt((t_ns - previous[0]) * 1e-9)
+    return carried, previous[2] + POSE.yaw_rate_heading_walk * math.sqrt((t_ns - previous[0]) * 1e-9)
 
 
 def _heading_by_hitch(
@@ -335,7 +345,7 @@ def _solve_body(state: Aligner, body: _Body, t_ns: int, flags: list[Flag]) -> No
     cg, sd = cg_position(antennas, body.heading, body.sd_heading)
     speed = math.hypot(*body.velocity[:2]) if body.velocity else 0.0
     common = state.latency.sd_mean(list(body.antennas)) * speed
-    tilt = _roll_arm(state, body) * (body.roll[1] if body.roll else UNKNOWN_TILT)
+    tilt = _roll_arm(state, body) * (body.roll[1] if body.roll else POSE.unknown_tilt)
     body.cg, body.sd_cg = cg, math.sqrt(sd**2 + common**2 + tilt**2)
     if len(antennas) == 2:
         state.last_heading[body.index] = (t_ns, body.heading, body.sd_heading)
@@ -354,7 +364,7 @@ def _roll_arm(state: Aligner, body: _Body) -> float:
 def _rate_of_heading(state: Aligner, body: _Body, t_ns: int) -> tuple[float, float] | None:
     """(yaw rate, sd), rad/s, from this heading and the one before, for a body without a measured yaw rate."""
     previous = state.last_heading[body.index]
-    if body.heading is None or previous is None or not 0 < t_ns - previous[0] <= 2 * POSE_NS:
+    if body.heading is None or previous is None or not 0 < t_ns - previous[0] <= 2 * ALIGNMENT.pose_ns:
         return None
     seconds = (t_ns - previous[0]) * 1e-9
     return wrap(body.heading - previous[1]) / seconds, math.hypot(body.sd_heading, previous[2]) / seconds
@@ -364,8 +374,8 @@ def _direction(state: Aligner, tractor: _Body, t_ns: int) -> int:
     """+1, −1 or 0: from the velocity along the heading; without one, as the vehicle reports it."""
     if tractor.velocity is not None:
         u = tractor.velocity[0]
-        return 0 if abs(u) < MOVING else (1 if u > 0 else -1)
-    return state.direction if abs(t_ns - state.direction_ns) < LOST_NS else 0
+        return 0 if abs(u) < DRIVING.moving else (1 if u > 0 else -1)
+    return state.direction if abs(t_ns - state.direction_ns) < ALIGNMENT.lost_ns else 0
 
 
 def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[Flag]) -> Pose:
@@ -374,7 +384,7 @@ def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[Flag])
     if tractor.heading is not None and implement.heading is not None:
         articulation = wrap(tractor.heading - implement.heading)
         sd_articulation = math.hypot(tractor.sd_heading, implement.sd_heading)
-    wheel = sample_at(state.wheel, t_ns, WHEEL_HOLD_NS)
+    wheel = sample_at(state.wheel, t_ns, ALIGNMENT.wheel_hold_ns)
     if wheel is None:
         kind = FlagKind.LOST if state.wheel_ns else FlagKind.WAITING
         flags.append(Flag(FlagKind.STANDS_STILL if state.wheel_stands() else kind, WHEEL))

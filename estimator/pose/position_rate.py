@@ -6,12 +6,23 @@ It is looked at while the receiver moves: at standstill a position may well be t
 from dataclasses import dataclass, field
 from typing import Final
 
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import EventKind
 
-LOOKED_AT: Final = 40  # positions before anything is said
-LEAST_PER_S: Final = 2.0  # new positions: with fewer, what happens between them is guessed
-REPEATED_SHARE: Final = 0.3  # of the positions
-SILENCE_NS: Final = 5_000_000_000  # positions that are so far apart say nothing of the rate
+
+@dataclass(frozen=True, slots=True)
+class PositionRateTuning:
+    """When a receiver sends too few positions, or the same ones again."""
+
+    looked_at: int = tuned(40, "positions", "before anything is said")
+    least_per_s: float = tuned(2.0, "1/s", "new positions: with fewer, what happens between them is guessed")
+    repeated_share: float = tuned(
+        0.3, "1", "of positions that repeat the one before, from which on it is said"
+    )
+    silence_ns: int = tuned(5_000_000_000, "ns", "positions that are so far apart say nothing of the rate")
+
+
+POSITION_RATE: Final = PositionRateTuning()
 
 
 @dataclass(slots=True)
@@ -30,13 +41,13 @@ class PositionRate:
 def observe(state: PositionRate, rx_ns: int, repeat: bool) -> None:
     """Take a position of a receiver that moves."""
     interval_ns, state.last_ns = rx_ns - state.last_ns, rx_ns
-    if not 0 <= interval_ns < SILENCE_NS:
+    if not 0 <= interval_ns < POSITION_RATE.silence_ns:
         state.passed_ns = state.positions = state.repeats = 0
         return
     state.passed_ns += interval_ns
     state.positions += 1
     state.repeats += repeat
-    if state.positions >= LOOKED_AT:
+    if state.positions >= POSITION_RATE.looked_at:
         _judge(state)
         state.passed_ns = state.positions = state.repeats = 0
 
@@ -44,9 +55,9 @@ def observe(state: PositionRate, rx_ns: int, repeat: bool) -> None:
 def _judge(state: PositionRate) -> None:
     new = state.positions - state.repeats
     per_s = new / (state.passed_ns * 1e-9) if state.passed_ns else 0.0
-    if new and state.repeats > REPEATED_SHARE * state.positions:
+    if new and state.repeats > POSITION_RATE.repeated_share * state.positions:
         _tell(state, EventKind.POSITIONS_REPEATED, state.positions / new, per_s)
-    elif new and state.passed_ns and per_s < LEAST_PER_S:
+    elif new and state.passed_ns and per_s < POSITION_RATE.least_per_s:
         _tell(state, EventKind.POSITIONS_SLOW, 1.0, per_s)
 
 

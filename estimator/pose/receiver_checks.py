@@ -19,12 +19,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, hitch
-from tilth.estimator.pose.receiver_track import HOLD_NS, SLOW_HOLD_NS, angle_at, sample_at
-from tilth.estimator.pose.turn_rate_lag import SURE, Lag, regress, settled, time_constant, update_verdict
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, angle_at, sample_at
+from tilth.estimator.pose.turn_rate_lag import (
+    TURN_RATE_LAG,
+    Lag,
+    regress,
+    settled,
+    time_constant,
+    update_verdict,
+)
 from tilth.estimator.rig.geometry import Vector, between, length, wrap
-from tilth.estimator.rig.residuals import UNDER_WAY, hitch_gap, hitch_shares
+from tilth.estimator.rig.residuals import hitch_gap, hitch_shares
+from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
@@ -33,16 +42,25 @@ from tilth.schemas.spread import WITHIN
 
 Array = NDArray[np.float64]
 
-INTERVAL: Final = 10  # poses (2 s): about as long as it takes to turn in
-HITCH_SAMPLE_POSES: Final = 5  # poses (1 s) between two samples of the gap at the hitch
-HITCH_SAMPLES_IN_ONE: Final = 4.0
-"""How many of them count as one: errors of receivers last for half a minute, and so does a roll on a slope.
-Counted as independent, they accused 6 of 93 right files on plants of a stranger."""
-LARGEST_GAP: Final = 1.0  # m: a larger gap has another cause
-OFFSET_SD: Final = 0.04  # m, of the gap at the hitch from the survey of antennas and the yaw of the pairs
-RESPONSE_PRIOR: Final = (0.5, 0.5)  # mean and sd of c before any data
-LEAST_ROLL_TO_NOISE: Final = 3.0  # mean square of rolls over that of their noise, for rolls to be used
-LEAST_ROLL_NOISE: Final = math.radians(0.05)
+
+@dataclass(frozen=True, slots=True)
+class ReceiverCheckTuning:
+    """When a receiver is accused of smoothing, or of another roll correction than the file has."""
+
+    interval: int = tuned(10, "poses", "2 s: about as long as it takes to turn in")
+    hitch_sample_poses: int = tuned(5, "poses", "1 s between two samples of the gap at the hitch")
+    hitch_samples_in_one: float = tuned(4.0, "samples", "that count as one")
+    """Errors of receivers last for half a minute, and so does a roll on a slope. Counted as independent, they
+    accused 6 of 93 right files on plants of a stranger."""
+    largest_gap: float = tuned(1.0, "m", "a larger gap has another cause")
+    offset_sd: float = tuned(0.04, "m", "of the gap at the hitch, by antennas and yaw of the pairs")
+    response_prior: tuple[float, ...] = tuned((0.5, 0.5), "1", "mean and sd of c before any data")
+    least_roll_to_noise: float = tuned(3.0, "1", "least mean square of rolls over their noise's")
+    least_roll_noise: float = tuned(math.radians(0.05), "rad", "of a roll")
+
+
+RECEIVER_CHECKS: Final = ReceiverCheckTuning()
+
 SMOOTHED: Final = FlagKind.SMOOTHED_YAW_RATE
 TWICE: Final = FlagKind.ROLL_CORRECTED_TWICE
 NOT: Final = FlagKind.NOT_ROLL_CORRECTED
@@ -96,18 +114,18 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     The pose before, since a pose is due as soon as the positions are there, and turn rate and roll of the
     same epoch come after them.
     """
-    follows = pose.t_ns - state.last_pose_ns == POSE_NS
+    follows = pose.t_ns - state.last_pose_ns == ALIGNMENT.pose_ns
     state.last_pose_ns = pose.t_ns
-    t_ns = pose.t_ns - POSE_NS
+    t_ns = pose.t_ns - ALIGNMENT.pose_ns
     kinds = {flag.kind for flag in pose.flags}
     speed = pose.tractor.forward_velocity
     pairs: list[_Pair | None] = [None, None]
-    if speed is not None and speed > UNDER_WAY and not kinds & WITHOUT_RTK:
+    if speed is not None and speed > DRIVING.under_way and not kinds & WITHOUT_RTK:
         pairs = [_pair(aligner, body, t_ns) for body in (0, 1)]
     rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):
         _update_intervals(state, aligner, body, pair, rolls[body], t_ns, follows)
-    if (pose.t_ns // POSE_NS) % HITCH_SAMPLE_POSES == 0:
+    if (pose.t_ns // ALIGNMENT.pose_ns) % RECEIVER_CHECKS.hitch_sample_poses == 0:
         _add_hitch_sample(state, aligner.machine, pairs, rolls)
         _judge(state, aligner.machine)
 
@@ -158,10 +176,10 @@ def clock_stepped(state: ReceiverChecks) -> None:
 
 def responses(state: ReceiverChecks) -> tuple[Array, Array]:
     """(c, its sd) of each receiver, shape (4,), as in flow.Mount; the sd is infinite without usable rolls."""
-    prior = np.array([*[RESPONSE_PRIOR[1] ** -2] * 4, OFFSET_SD**-2])
+    prior = np.array([*[RECEIVER_CHECKS.response_prior[1] ** -2] * 4, RECEIVER_CHECKS.offset_sd**-2])
     information, vector = _informative(state)
     covariance = np.linalg.inv(information + np.diag(prior))
-    mean = covariance @ (vector + prior * np.array([*[RESPONSE_PRIOR[0]] * 4, 0.0]))
+    mean = covariance @ (vector + prior * np.array([*[RECEIVER_CHECKS.response_prior[0]] * 4, 0.0]))
     sds = np.sqrt(np.diag(covariance))[:4]
     for body in (0, 1):
         if not _roll_is_observable(state, body):
@@ -207,10 +225,10 @@ def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None
     match [
         found
         for _, track, at in aligner.in_use(body, t_ns)
-        if (found := sample_at(track.rolls, at, SLOW_HOLD_NS))
+        if (found := sample_at(track.rolls, at, RECEIVER_TRACK.slow_hold_ns))
     ]:
         case [(one, _), (other, _)]:
-            return (one + other) / 2, max(((one - other) / 2) ** 2, LEAST_ROLL_NOISE**2)
+            return (one + other) / 2, max(((one - other) / 2) ** 2, RECEIVER_CHECKS.least_roll_noise**2)
         case [(roll, sd)]:
             return roll, sd**2
     return None
@@ -233,18 +251,18 @@ def _update_intervals(
         interval.poses = -1
     else:
         interval.poses += interval.poses >= 0
-    ended = interval.poses >= INTERVAL
+    ended = interval.poses >= RECEIVER_CHECKS.interval
     change = wrap(heading[0] - interval.heading) if heading is not None else 0.0
     complete = []
     for lag, rate in zip(state.lags[2 * body : 2 * body + 2], rates, strict=True):
         if rate is None or interval.poses < 0:
             lag.poses = -1
         elif lag.poses >= 0:
-            lag.integral += (lag.rate + rate) / 2 * POSE_NS * 1e-9
+            lag.integral += (lag.rate + rate) / 2 * ALIGNMENT.pose_ns * 1e-9
             lag.poses += 1
         lag.rate = rate or 0.0
-        if ended and heading is not None and lag.poses == INTERVAL:
-            regress(lag, change, INTERVAL * POSE_NS * 1e-9, heading[1])
+        if ended and heading is not None and lag.poses == RECEIVER_CHECKS.interval:
+            regress(lag, change, RECEIVER_CHECKS.interval * ALIGNMENT.pose_ns * 1e-9, heading[1])
             if not lag.smoothed:
                 complete.append(lag.integral)
     if ended and pair is not None and roll is not None and complete:
@@ -263,14 +281,14 @@ def _reported_heading(aligner: Aligner, body: int, t_ns: int) -> tuple[float, fl
     if index < 0 or others:
         return None  # with two receivers only the baseline serves: a change of the source is no turn
     headings = aligner.tracks[MOUNTS[index].value].headings
-    return angle_at(headings, t_ns + aligner.latency.excess_ns(index), HOLD_NS)
+    return angle_at(headings, t_ns + aligner.latency.excess_ns(index), RECEIVER_TRACK.hold_ns)
 
 
 def _rate(aligner: Aligner, index: int, t_ns: int) -> float | None:
     track = aligner.tracks.get(MOUNTS[index].value)
     if track is None:
         return None
-    found = sample_at(track.yaw_rates, t_ns + aligner.latency.excess_ns(index), HOLD_NS)
+    found = sample_at(track.yaw_rates, t_ns + aligner.latency.excess_ns(index), RECEIVER_TRACK.hold_ns)
     return found[0] if found else None
 
 
@@ -303,7 +321,7 @@ def _add_hitch_sample(
     if tractor is None or implement is None or rolls[0] is None or rolls[1] is None:
         return
     _, gap = hitch_gap(tractor.hitch, implement.hitch, implement.heading)
-    if abs(gap) > LARGEST_GAP:
+    if abs(gap) > RECEIVER_CHECKS.largest_gap:
         return
     heights = _arms(machine)
     across = (math.cos(tractor.heading - implement.heading), -1.0)
@@ -317,7 +335,7 @@ def _add_hitch_sample(
     row = sum((arm * math.sin(roll) for arm, (roll, _) in zip(arms, both, strict=True)), np.zeros(5))
     row[4] = 1.0
     variance, noises = tractor.sd_hitch**2 + implement.sd_hitch**2, [noise for _, noise in both]
-    _add(state, row, arms, noises, gap, HITCH_SAMPLES_IN_ONE * variance)
+    _add(state, row, arms, noises, gap, RECEIVER_CHECKS.hitch_samples_in_one * variance)
     for body, (roll, noise) in enumerate(both):
         state.rolls[body] += roll**2, noise
     state.hitch_samples += 1
@@ -369,11 +387,11 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
             setting[k] = abs(declared[k] - (number >> bit & 1))  # number 0 is as declared
     known = _informative(state)
     scores = np.array([_log_likelihood(*known, setting) for setting in settings])
-    likely = np.array(settings)[scores > scores.max() - SURE**2 / 2]
+    likely = np.array(settings)[scores > scores.max() - TURN_RATE_LAG.sure**2 / 2]
     lead = scores.max() - scores[0]
     if lead == 0.0:
         state.wrong, state.unclear = [None] * 4, False
-    elif lead > SURE**2 / 2 and lead > _best_log_likelihood(*known) - scores.max():
+    elif lead > TURN_RATE_LAG.sure**2 / 2 and lead > _best_log_likelihood(*known) - scores.max():
         # What it explains is more than what no setting explains: something else may move antennas. A receiver
         # is named if its own response says so, too.
         c, sds = responses(state)
@@ -386,14 +404,14 @@ def _judge_rolls(state: ReceiverChecks, machine: Machine) -> None:
 def _log_likelihood(information: Array, vector: Array, setting: Array) -> float:
     """Log-likelihood of a setting of c, shape (4,), up to a constant, at the offset that fits best."""
     free = vector[4] - information[4, :4] @ setting
-    total = information[4, 4] + OFFSET_SD**-2
+    total = information[4, 4] + RECEIVER_CHECKS.offset_sd**-2
     fits = vector[:4] @ setting - setting @ information[:4, :4] @ setting / 2
     return float(fits + free**2 / total / 2)
 
 
 def _best_log_likelihood(information: Array, vector: Array) -> float:
     """The same of the responses that fit best, be they 0, 1 or anything."""
-    total = information[4, 4] + OFFSET_SD**-2
+    total = information[4, 4] + RECEIVER_CHECKS.offset_sd**-2
     apart = information[:4, :4] - np.outer(information[:4, 4], information[4, :4]) / total
     best = np.linalg.lstsq(apart, vector[:4] - information[:4, 4] * vector[4] / total, rcond=1e-9)[0]
     return _log_likelihood(information, vector, best)
@@ -401,4 +419,4 @@ def _best_log_likelihood(information: Array, vector: Array) -> float:
 
 def _roll_is_observable(state: ReceiverChecks, body: int) -> bool:
     """Whether a body has rolled clearly more than the noise of its measured rolls."""
-    return bool(0.0 < state.rolls[body, 0] > LEAST_ROLL_TO_NOISE * state.rolls[body, 1])
+    return bool(0.0 < state.rolls[body, 0] > RECEIVER_CHECKS.least_roll_to_noise * state.rolls[body, 1])

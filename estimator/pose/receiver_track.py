@@ -7,14 +7,16 @@ rate, and the standard deviation grows.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Final, TypeVar
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.epoch_clock import EpochClock, UtcClock
 from tilth.estimator.pose.position_rate import PositionRate, observe
 from tilth.estimator.pose.screen import Reading, Screens
 from tilth.estimator.rig.geometry import Vector, wrap
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import (
     Attitude,
     Fix,
@@ -27,19 +29,33 @@ from tilth.schemas.flow import (
     YawRate,
 )
 
-LONGEST_INTERPOLATED_NS = 1_100_000_000  # longest gap that is interpolated: a receiver at 1 Hz
-HOLD_NS = 600_000_000  # longest extrapolation of a position
-NEAR_NS = 20_000_000  # an extrapolation this short costs less than a position's own noise
-SLOW_HOLD_NS = 1_500_000_000  # roll, pitch and headings change slowly enough to be held this long
-STANDSTILL = 0.15  # m/s: at lower speeds a repeated position is still right
-UNKNOWN_ACCELERATION = 0.7  # m/s^2: sd of the acceleration that an extrapolation ignores
 
-POSITION_SD = {  # smallest sd of a position that is not RTK fixed, m
-    FixType.RTK_FLOAT: 0.4,
-    FixType.PRECISE: 0.1,
-    FixType.DGNSS: 0.5,
-    FixType.GNSS: 1.5,
-}
+@dataclass(frozen=True, slots=True)
+class ReceiverTrackTuning:
+    """For how long what a receiver said is continued."""
+
+    longest_interpolated_ns: int = tuned(
+        1_100_000_000, "ns", "longest gap to interpolate: a receiver at 1 Hz"
+    )
+    hold_ns: int = tuned(600_000_000, "ns", "longest extrapolation of a position")
+    near_ns: int = tuned(20_000_000, "ns", "so short an extrapolation costs less than a position's noise")
+    slow_hold_ns: int = tuned(1_500_000_000, "ns", "roll, pitch and headings change slowly: held so long")
+    unknown_acceleration: float = tuned(0.7, "m/s^2", "sd of the acceleration that an extrapolation ignores")
+    position_sd: Mapping[FixType, float] = tuned(
+        {  # smallest sd of a position that is not RTK fixed, m
+            FixType.RTK_FLOAT: 0.4,
+            FixType.PRECISE: 0.1,
+            FixType.DGNSS: 0.5,
+            FixType.GNSS: 1.5,
+        },
+        "m",
+        "smallest sd of a position that is not RTK fixed",
+    )
+
+
+RECEIVER_TRACK: Final = ReceiverTrackTuning()
+
+
 NO_POSITION = (FixType.NONE, FixType.DEAD_RECKONING, FixType.MANUAL)
 
 Sample = tuple[int, float, float]  # t_ns, value, sd
@@ -119,7 +135,7 @@ class Track:
         new only at standstill. moving: whether the rig moves."""
         rx_ns, repeat = position.rx_ns, position.repeat
         t_ns = self.clock.position(rx_ns) - self.latency_ns
-        moves = moving or math.hypot(*self._last_velocity() or (0.0, 0.0)) > STANDSTILL
+        moves = moving or math.hypot(*self._last_velocity() or (0.0, 0.0)) > DRIVING.standstill
         if moves:
             observe(self.rate, rx_ns, repeat)
         if repeat and moves:
@@ -128,7 +144,7 @@ class Track:
         if self.positions and t_ns <= self.positions[-1][0]:
             return
         self.last_position_ns = rx_ns
-        least_sd = POSITION_SD.get(self.fix, 0.0) if self.fix else 0.0
+        least_sd = RECEIVER_TRACK.position_sd.get(self.fix, 0.0) if self.fix else 0.0
         here: Reading = (t_ns, at[0], at[1], max(position.sd, least_sd))
         who = position.origin.mount or ""
         self.positions.extend(screens.near_path(who, here, self._last_velocity()))
@@ -143,12 +159,12 @@ class Track:
     def velocity_at(self, t_ns: int) -> tuple[Vector, float] | None:
         """((north, east) m/s, sd per axis) at t, or None."""
         before, after = _around(self.velocities, t_ns)
-        if before is None or t_ns - before[0] > HOLD_NS:
+        if before is None or t_ns - before[0] > RECEIVER_TRACK.hold_ns:
             return None
-        if after is None or after[0] - before[0] > LONGEST_INTERPOLATED_NS:
+        if after is None or after[0] - before[0] > RECEIVER_TRACK.longest_interpolated_ns:
             age = (t_ns - before[0]) * 1e-9
             rotated = _rotate((before[1], before[2]), self._rate_near(t_ns) * age)
-            return rotated, math.hypot(before[3], UNKNOWN_ACCELERATION * age)
+            return rotated, math.hypot(before[3], RECEIVER_TRACK.unknown_acceleration * age)
         share = (t_ns - before[0]) / (after[0] - before[0])
         return (
             (before[1] + share * (after[1] - before[1]), before[2] + share * (after[2] - before[2])),
@@ -160,10 +176,10 @@ class Track:
         before, after = _around(self.positions, t_ns)
         if before is None:
             return None
-        if after is not None and after[0] - before[0] <= LONGEST_INTERPOLATED_NS:
+        if after is not None and after[0] - before[0] <= RECEIVER_TRACK.longest_interpolated_ns:
             return self._interpolate(before, after, t_ns), max(before[3], after[3]), False
         age_ns = t_ns - before[0]
-        if age_ns > HOLD_NS:
+        if age_ns > RECEIVER_TRACK.hold_ns:
             return None
         age = age_ns * 1e-9
         found = self.velocity_at(before[0])
@@ -171,8 +187,12 @@ class Track:
             return None
         (north, east), sd_velocity = found
         north, east = _rotate((north, east), self._rate_near(t_ns) * age / 2)
-        sd = math.sqrt(before[3] ** 2 + (sd_velocity * age) ** 2 + (UNKNOWN_ACCELERATION * age**2 / 2) ** 2)
-        return (before[1] + north * age, before[2] + east * age), sd, age_ns > NEAR_NS
+        sd = math.sqrt(
+            before[3] ** 2
+            + (sd_velocity * age) ** 2
+            + (RECEIVER_TRACK.unknown_acceleration * age**2 / 2) ** 2
+        )
+        return (before[1] + north * age, before[2] + east * age), sd, age_ns > RECEIVER_TRACK.near_ns
 
     def _interpolate(self, before: Planar, after: Planar, t_ns: int) -> Vector:
         """Cubic Hermite path; a straight line where velocities are missing."""
@@ -195,7 +215,7 @@ class Track:
 
     def yaw_rate_at(self, t_ns: int) -> tuple[float, float] | None:
         """(yaw rate, sd) at t; None where it is not known, or smoothed."""
-        return None if self.smoothed else sample_at(self.yaw_rates, t_ns, HOLD_NS)
+        return None if self.smoothed else sample_at(self.yaw_rates, t_ns, RECEIVER_TRACK.hold_ns)
 
     def _rate_near(self, t_ns: int) -> float:
         found = self.yaw_rate_at(t_ns)
@@ -233,7 +253,7 @@ def _value_at(
     before, after = _around(samples, t_ns)
     if before is None or t_ns - before[0] > hold_ns:
         return None
-    if after is None or after[0] - before[0] > LONGEST_INTERPOLATED_NS:
+    if after is None or after[0] - before[0] > RECEIVER_TRACK.longest_interpolated_ns:
         return before[1], before[2]
     share = (t_ns - before[0]) / (after[0] - before[0])
     return before[1] + share * shortest(after[1] - before[1]), max(before[2], after[2])

@@ -20,36 +20,47 @@ from itertools import permutations
 from typing import Final
 
 from tilth.estimator.pose import plausibility
-from tilth.estimator.pose.aligner import WHEEL_HOLD_NS, Aligner
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.pose.geometry import to_plane
-from tilth.estimator.pose.receiver_track import sample_at
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, sample_at
 from tilth.estimator.rig.geometry import Vector, between, direction, wrap
 from tilth.estimator.rig.residuals import pair_of
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import EventKind, Mount, Position
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 
-TRAVEL: Final = 5.0  # m, before which nothing is decided
-HOPELESS: Final = 60.0  # m, after which it is said that nothing fits, or that it cannot be told
-CHUNK: Final = 0.4  # m between two comparisons: at rest the same errors would count again and again
-STEP_NS: Final = 200_000_000  # between two instants that may be compared
-LAG_NS: Final = 1_200_000_000  # how long after an instant its positions are there, also at 1 Hz
-LONGEST_NS: Final = 1_100_000_000  # between two positions
-MOST_CANDIDATES: Final = 6
-MISFIT_SD: Final = 0.2  # m: of latency, roll and survey together
-CORRELATED: Final = 2.0  # comparisons whose errors count as one
-WORST: Final = 4.0  # log-likelihood that one comparison may cost: a single wrong position decides nothing
-LATENCY_SD: Final = 0.03  # s: a point may be so much ahead of or behind its place along the path
-TURN_NS: Final = 1_000_000_000  # over which the change of heading is compared with the wheel angle
-TURN_SD: Final = 0.06  # rad in that time
-TURN_SHARE: Final = 0.3  # of the expected turn, by which it may be wrong: slip, wheel angle
-REPORTED_NS: Final = 3_000_000_000  # age of the direction that the vehicle reports
-AGAINST: Final = 2.0  # log-likelihood that a comparison costs where the reported direction is the opposite
-BEFORE: Final = 6.0  # log-likelihood that every receiver is where it was before
-FORWARD: Final = 0.5  # log-likelihood of a metre forwards
-MOST_FORWARD: Final = 10.0
-CLEAR: Final = 8.0  # by which an assignment must be better than any other
+
+@dataclass(frozen=True, slots=True)
+class RecognitionTuning:
+    """How receivers that claim no name are told apart by how they move."""
+
+    travel: float = tuned(5.0, "m", "driven before anything is decided")
+    hopeless: float = tuned(
+        60.0, "m", "driven, after which it is said that nothing fits or it cannot be told"
+    )
+    chunk: float = tuned(0.4, "m", "between two comparisons: at rest the same errors would count again")
+    step_ns: int = tuned(200_000_000, "ns", "between two instants that may be compared")
+    lag_ns: int = tuned(1_200_000_000, "ns", "after an instant, until its positions are there, also at 1 Hz")
+    most_candidates: int = tuned(6, "senders", "with more, only those that were heard first are tried")
+    misfit_sd: float = tuned(0.2, "m", "of latency, roll and survey together")
+    correlated: float = tuned(2.0, "comparisons", "whose errors count as one")
+    worst: float = tuned(4.0, "nat", "that one comparison may cost: a single wrong position decides nothing")
+    latency_sd: float = tuned(0.03, "s", "by which a point may be ahead of or behind its place on the path")
+    turn_ns: int = tuned(1_000_000_000, "ns", "over which heading is compared with the wheel angle")
+    turn_sd: float = tuned(0.06, "rad", "sd of the change of heading in that time")
+    turn_share: float = tuned(0.3, "1", "of the expected turn, by which it may be wrong: slip, wheel angle")
+    reported_ns: int = tuned(3_000_000_000, "ns", "largest age of the direction that the vehicle reports")
+    against: float = tuned(2.0, "nat", "that a comparison costs where the reported direction is the opposite")
+    before: float = tuned(6.0, "nat", "in favour of every receiver being where it was before")
+    forward: float = tuned(0.5, "nat", "of a metre forwards")
+    most_forward: float = tuned(10.0, "nat", "of all metres forwards")
+    clear: float = tuned(8.0, "nat", "by which an assignment must be better than any other")
+
+
+RECOGNITION: Final = RecognitionTuning()
+
 
 EVENT: Final = EventKind.ADDRESSES
 Place = tuple[str, int]  # bus, source
@@ -139,15 +150,15 @@ def search(
 
     A notice alone says that it cannot be found out.
     """
-    if not state.next_ns <= now_ns <= state.next_ns + 2 * LAG_NS:
+    if not state.next_ns <= now_ns <= state.next_ns + 2 * RECOGNITION.lag_ns:
         state.next_ns = now_ns
-    if now_ns < state.next_ns + LAG_NS:
+    if now_ns < state.next_ns + RECOGNITION.lag_ns:
         return [], None
-    t_ns, state.next_ns = state.next_ns, state.next_ns + STEP_NS
+    t_ns, state.next_ns = state.next_ns, state.next_ns + RECOGNITION.step_ns
     found = [(one, at) for one in state.heard if (at := _at(one, t_ns)) is not None]
     fixed = {one.mount: at for one, at in found if one.mount is not None}
     points = {(one.bus, one.source): at for one, at in found if one.mount is None}
-    candidates, mounts = sorted(points)[:MOST_CANDIDATES], [m for m in Mount if m in unplaced]
+    candidates, mounts = sorted(points)[: RECOGNITION.most_candidates], [m for m in Mount if m in unplaced]
     if not candidates or not mounts:
         return [], None
     if (state.candidates, state.mounts) != (candidates, mounts):
@@ -163,7 +174,7 @@ def _at(heard: HeardSource, t_ns: int) -> Vector | None:
     after = None
     for sample in reversed(heard.positions):
         if sample[0] <= t_ns:
-            if after is None or after[0] - sample[0] > LONGEST_NS:
+            if after is None or after[0] - sample[0] > RECEIVER_TRACK.longest_interpolated_ns:
                 return None
             share = (t_ns - sample[0]) / (after[0] - sample[0])
             return sample[1] + share * (after[1] - sample[1]), sample[2] + share * (after[2] - sample[2])
@@ -195,7 +206,7 @@ def _begin(state: Recognition, machine: Machine, candidates: list[Place], mounts
     for assignment in state.assignments:
         slots = dict(zip(mounts, assignment.slots, strict=True))
         if expected and all(slots.get(mount, -1) == i for mount, i in expected.items()):
-            assignment.likelihood = BEFORE
+            assignment.likelihood = RECOGNITION.before
 
 
 def _before(state: Recognition, machine: Machine) -> dict[Mount, int]:
@@ -211,11 +222,11 @@ def _before(state: Recognition, machine: Machine) -> dict[Mount, int]:
 
 def _moved_on(state: Recognition, points: list[Vector], t_ns: int) -> bool:
     """Whether all have moved on since the last comparison; then this is the next one."""
-    if not state.last or t_ns - state.last_ns > 10 * TURN_NS:
+    if not state.last or t_ns - state.last_ns > 10 * RECOGNITION.turn_ns:
         state.last, state.last_ns = points, t_ns
         return False
     moved = min(math.dist(one, other) for one, other in zip(points, state.last, strict=True))
-    if moved < CHUNK:
+    if moved < RECOGNITION.chunk:
         return False
     state.travel += moved
     return True
@@ -231,12 +242,12 @@ def _compare(
     moved = [(p[0] - q[0], p[1] - q[1]) for p, q in zip(points, state.last, strict=True)]
     way = sum(m[0] for m in moved) / len(moved), sum(m[1] for m in moved) / len(moved)
     speed = math.hypot(*way) / max((t_ns - state.last_ns) * 1e-9, 0.1)
-    sd = math.hypot(MISFIT_SD, LATENCY_SD * speed)
-    reported = aligner.direction if abs(t_ns - aligner.direction_ns) < REPORTED_NS else 0
-    turned = t_ns - state.turn_ns >= TURN_NS
-    in_time = t_ns - state.turn_ns <= 2 * TURN_NS
+    sd = math.hypot(RECOGNITION.misfit_sd, RECOGNITION.latency_sd * speed)
+    reported = aligner.direction if abs(t_ns - aligner.direction_ns) < RECOGNITION.reported_ns else 0
+    turned = t_ns - state.turn_ns >= RECOGNITION.turn_ns
+    in_time = t_ns - state.turn_ns <= 2 * RECOGNITION.turn_ns
     wheel = [
-        sample_at(aligner.wheel, at, WHEEL_HOLD_NS)
+        sample_at(aligner.wheel, at, ALIGNMENT.wheel_hold_ns)
         for at in (state.turn_ns, (state.turn_ns + t_ns) // 2, t_ns)
     ]
     angles = [sample[0] for sample in wheel if sample is not None]
@@ -244,13 +255,13 @@ def _compare(
         at = {m: points[i] for m, i in zip(state.mounts, one.slots, strict=True) if i >= 0} | fixed
         misfit = plausibility.misfit(at, levers, c, d)
         one.squares += misfit**2
-        one.likelihood -= min(misfit**2 / (2.0 * sd**2 * CORRELATED), WORST)
+        one.likelihood -= min(misfit**2 / (2.0 * sd**2 * RECOGNITION.correlated), RECOGNITION.worst)
         heading = _heading(at, levers)
         if heading is None:
             continue
         ahead = way[0] * math.cos(heading) + way[1] * math.sin(heading)
         one.forward += ahead
-        one.likelihood -= AGAINST if ahead * reported < 0 else 0.0
+        one.likelihood -= RECOGNITION.against if ahead * reported < 0 else 0.0
         if not turned:
             continue
         if (
@@ -262,8 +273,8 @@ def _compare(
             length = machine.tractor.wheelbase
             expected = (one.forward - one.turn[1]) * math.tan(sum(angles) / len(angles)) / length
             error = wrap(heading - one.turn[0] - expected)
-            likely = error**2 / (TURN_SD + TURN_SHARE * abs(expected)) ** 2 / 2.0
-            one.likelihood -= min(likely, WORST)
+            likely = error**2 / (RECOGNITION.turn_sd + RECOGNITION.turn_share * abs(expected)) ** 2 / 2.0
+            one.likelihood -= min(likely, RECOGNITION.worst)
         one.turn = heading, one.forward
     if turned:
         state.turn_ns = t_ns
@@ -288,18 +299,24 @@ def _heading(at: Mapping[Mount, Vector], levers: Mapping[Mount, Vector]) -> floa
 
 
 def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], Notice | None]:
-    if state.travel < TRAVEL or not state.assignments:
+    if state.travel < RECOGNITION.travel or not state.assignments:
         return [], None
     scores = sorted(
         ((one.likelihood + _forwards(one), index) for index, one in enumerate(state.assignments)),
         reverse=True,
     )
     best = state.assignments[scores[0][1]]
-    speed_smear = plausibility.SMEAR * LATENCY_SD * state.travel / max(state.compared, 1) / (STEP_NS * 1e-9)
-    fits = math.sqrt(best.squares / state.compared) < plausibility.MISFIT + speed_smear
-    if fits and (len(scores) == 1 or scores[0][0] - scores[1][0] > CLEAR):
+    speed_smear = (
+        plausibility.PLAUSIBILITY.smear
+        * RECOGNITION.latency_sd
+        * state.travel
+        / max(state.compared, 1)
+        / (RECOGNITION.step_ns * 1e-9)
+    )
+    fits = math.sqrt(best.squares / state.compared) < plausibility.PLAUSIBILITY.misfit + speed_smear
+    if fits and (len(scores) == 1 or scores[0][0] - scores[1][0] > RECOGNITION.clear):
         return _found(state, machine, best)
-    if state.travel < HOPELESS or state.hopeless:
+    if state.travel < RECOGNITION.hopeless or state.hopeless:
         return [], None
     state.hopeless = True
     places = (notice(NoticeCode.ADDRESS, bus=bus, source=source) for bus, source in state.candidates)
@@ -308,7 +325,7 @@ def _decide(state: Recognition, machine: Machine) -> tuple[list[KnownAddress], N
 
 def _forwards(one: Assignment) -> float:
     """Log-likelihood of the direction of travel: most ways are driven forwards."""
-    return max(-MOST_FORWARD, min(FORWARD * one.forward, MOST_FORWARD))
+    return max(-RECOGNITION.most_forward, min(RECOGNITION.forward * one.forward, RECOGNITION.most_forward))
 
 
 def _found(state: Recognition, machine: Machine, best: Assignment) -> tuple[list[KnownAddress], Notice]:

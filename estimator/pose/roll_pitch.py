@@ -3,10 +3,10 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
-from tilth.estimator.pose.receiver_track import SLOW_HOLD_NS, sample_at
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
+from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, sample_at
 
-HALF_NS = POSE_NS // 2
+HALF_NS = ALIGNMENT.pose_ns // 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +23,9 @@ def roll_pitch_at(aligner: Aligner, body: int, t_ns: int) -> RollPitch:
     but those that are left out."""
     befores, rolls, pitches = [], [], []
     for _, track, at_ns in aligner.in_use(body, t_ns):
-        before = sample_at(track.rolls, at_ns - HALF_NS, SLOW_HOLD_NS)
-        roll = sample_at(track.rolls, at_ns, SLOW_HOLD_NS)
-        pitch = sample_at(track.pitches, at_ns, SLOW_HOLD_NS)
+        before = sample_at(track.rolls, at_ns - HALF_NS, RECEIVER_TRACK.slow_hold_ns)
+        roll = sample_at(track.rolls, at_ns, RECEIVER_TRACK.slow_hold_ns)
+        pitch = sample_at(track.pitches, at_ns, RECEIVER_TRACK.slow_hold_ns)
         if roll is not None and before is not None:
             befores.append(before)
             rolls.append(roll)

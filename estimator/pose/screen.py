@@ -4,7 +4,7 @@ moves.
 A loose plug or a disturbed cable puts single readings anywhere. A reading is a spike if it is further from
 both its neighbours than the thing can move in between. So one that is near the last reading used is used at
 once. Another waits: it is left out when the next one is near the last one used again, and used, with all that
-wait, when LASTING in a row are near each other; then the thing has really moved. Where nothing is wrong
+wait, when `lasting` in a row are near each other; then the thing has really moved. Where nothing is wrong
 nothing ever waits.
 
 A sensor that has failed may go on sending its last reading. Noise lets few readings repeat to the bit, but a
@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from tilth.estimator.rig.geometry import Vector, wrap
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Flag, FlagKind
 from tilth.schemas.rejections import Rejection, count
 
@@ -32,9 +33,31 @@ class RateLimits(NamedTuple):
     wraps: bool = False  # an angle that goes round
 
 
-SDS: Final = 5.0  # of the difference of two readings, that are noise
-STAMP_S: Final = 0.02  # by which a frame may come later than another: it queued on the bus
-LASTING: Final = 4  # readings in a row that are no spikes: bursts are of up to three
+@dataclass(frozen=True, slots=True)
+class ScreenTuning:
+    """Which readings are spikes, and which have stood still for too long."""
+
+    sds: float = tuned(5.0, "sd", "of the difference of two readings, that are noise")
+    stamp_s: float = tuned(0.02, "s", "by which a frame may come later than another: it queued on the bus")
+    lasting: int = tuned(4, "readings", "in a row that are no spikes: bursts are of up to three")
+    wheel_angle_rate: float = tuned(math.radians(60.0), "rad/s", "the fastest steering cylinders")
+    acceleration: float = tuned(8.0, "m/s^2", "brakes, and the antenna's own motion on a mast over bumps")
+    yaw_acceleration: float = tuned(4.0, "rad/s^2", "full lock at 10 m/s in half a second")
+    turn_rate: float = tuned(1.5, "rad/s", "of headings, roll and pitch")
+    position_rate: float = tuned(20.0, "m/s", "of a position, where the receiver reports no velocity")
+    position_share: float = tuned(0.3, "1", "of the speed, by which a position may leave the velocity before")
+    position_acceleration: float = tuned(6.0, "m/s^2", "the same, whatever the speed")
+    memory: float = tuned(1000.0, "readings", "over which the share of spikes is averaged")
+    least_spikes: int = tuned(5, "spikes", "before a share is told")
+    often: float = tuned(0.005, "1", "share of spikes from which on a sensor counts as disturbed")
+    seldom: float = tuned(0.001, "1", "share below which it no longer does")
+    known_runs: int = tuned(100, "runs", "of equal readings after which it is known how long they get")
+    shortest: int = tuned(5, "readings", "a run no longer than this is nothing unusual")
+    longer: int = tuned(2, "1", "times the longest run so far, for one that is unusual")
+
+
+SCREEN: Final = ScreenTuning()
+
 LIMITS: Final = {
     "wheel_angle": RateLimits(math.radians(60.0)),  # the fastest steering cylinders
     "wheel_speed": RateLimits(8.0),  # m/s^2: brakes, and the antenna's own motion on a mast over bumps
@@ -45,15 +68,6 @@ LIMITS: Final = {
     "pitch": RateLimits(1.5),
     "position": RateLimits(20.0),  # m/s, where the receiver reports no velocity
 }
-POSITION_SHARE: Final = 0.3  # of the speed, by which a position may go another way than the velocity before
-POSITION_ACCELERATION: Final = 6.0  # m/s^2
-
-MEMORY: Final = 1000.0  # readings over which the share of spikes is averaged
-LEAST_SPIKES: Final = 5  # before a share is told
-OFTEN, SELDOM = 0.005, 0.001  # shares from which on, and below which, a sensor counts as disturbed
-KNOWN_RUNS: Final = 100  # runs of equal readings after which it is known how long they get
-SHORTEST: Final = 5  # readings; a run no longer than this is nothing unusual
-LONGER: Final = 2  # times the longest run so far
 
 
 @dataclass(slots=True)
@@ -63,7 +77,7 @@ class SensorScreen:
     last: Reading | None = None  # used
     waiting: list[Reading] = field(default_factory=list)  # one after another, each near the one before
     spikes: int = 0
-    share: float = 0.0  # of spikes in the last MEMORY readings
+    share: float = 0.0  # of spikes in the last `memory` readings
     often: bool = False
     raw: tuple[float, float] | None = None  # the last reading, used or not
     run: int = 0  # how many equal to it came in a row while the rig moved
@@ -75,7 +89,9 @@ class SensorScreen:
     @property
     def stands(self) -> bool:
         """Whether readings stay the same for longer than they ever did while the rig moved."""
-        return self.runs >= KNOWN_RUNS and self.run > max(SHORTEST, LONGER * self.longest)
+        return self.runs >= SCREEN.known_runs and self.run > max(
+            SCREEN.shortest, SCREEN.longer * self.longest
+        )
 
 
 @dataclass(slots=True)
@@ -122,7 +138,9 @@ class Screens:
         if velocity is None:
             return self._decide(screen, reading, LIMITS["position"], (0.0, 0.0))
         elapsed = abs(reading[0] - (screen.last or reading)[0]) * 1e-9
-        rate = POSITION_SHARE * math.hypot(*velocity) + POSITION_ACCELERATION * (elapsed + STAMP_S)
+        rate = SCREEN.position_share * math.hypot(*velocity) + SCREEN.position_acceleration * (
+            elapsed + SCREEN.stamp_s
+        )
         return self._decide(screen, reading, RateLimits(rate), velocity)
 
     def _decide(
@@ -140,7 +158,7 @@ class Screens:
             if waiting and not _are_near(waiting[-1], reading, limits, velocity):
                 self._leave_out(screen)
             waiting.append(reading)
-            if len(waiting) < LASTING:
+            if len(waiting) < SCREEN.lasting:
                 return []
             used = waiting.copy()
             waiting.clear()
@@ -167,8 +185,12 @@ def _apart(one: Reading, other: Reading, limits: RateLimits, velocity: Vector) -
 
 def _are_near(one: Reading, other: Reading, limits: RateLimits, velocity: Vector) -> bool:
     """Whether both may be true. velocity: at which the values change, as far as known."""
-    seconds = abs(other[0] - one[0]) * 1e-9 + STAMP_S
-    room = SDS * math.hypot(one[3], other[3]) + limits.rate * seconds + math.hypot(*velocity) * STAMP_S
+    seconds = abs(other[0] - one[0]) * 1e-9 + SCREEN.stamp_s
+    room = (
+        SCREEN.sds * math.hypot(one[3], other[3])
+        + limits.rate * seconds
+        + math.hypot(*velocity) * SCREEN.stamp_s
+    )
     return _apart(one, other, limits, velocity) <= room
 
 
@@ -189,8 +211,8 @@ def _count_run(screen: SensorScreen, reading: Reading, moving: bool) -> None:
 def _note(screen: SensorScreen, spike: bool) -> None:
     """Follow the share of spikes."""
     screen.spikes += spike
-    screen.share += (spike - screen.share) / MEMORY
-    if screen.share < SELDOM:
+    screen.share += (spike - screen.share) / SCREEN.memory
+    if screen.share < SCREEN.seldom:
         screen.often = False
-    elif screen.share >= OFTEN and screen.spikes >= LEAST_SPIKES:
+    elif screen.share >= SCREEN.often and screen.spikes >= SCREEN.least_spikes:
         screen.often = True

@@ -10,24 +10,35 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from tilth.estimator.pose.aligner import POSE_NS, Aligner
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.pose.screen import SensorScreen
 from tilth.estimator.rig.geometry import wrap
-from tilth.estimator.rig.residuals import UNDER_WAY, path_angle
+from tilth.estimator.rig.residuals import path_angle
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Flag, FlagKind, Pose
 from tilth.schemas.notices import Notice, NoticeCode, notice
 
 STANDS: Final = FlagKind.STANDS_STILL
-MOST_POSES: Final = 50  # 10 s, that are compared
-SETTLED_M, SETTLED_NS = 5.0, 1_000_000_000
-"""After the wheels have come to stand, the path goes on changing until the tyres have rolled so far; half of
-it where a run is unusual for the sensor."""
-LEAST_PATH_ANGLE: Final = math.radians(2.5)
-SLIP_SHARE: Final = 0.35  # of an angle, by which slip changes it, with speed, ground and slope
-SMOOTHING: Final = 3  # poses, in a mean of the path's angle
-LEAST_TURN: Final = 0.1  # rad, between a heading and another measure of it
-LEAST_CHANGE: Final = 0.3  # m/s, of the rig's speed
-LEAST_LEAN: Final = 0.8  # m/s^2 of lateral acceleration: every body leans by a tenth of a degree and more
+
+
+@dataclass(frozen=True, slots=True)
+class StandingTuning:
+    """What contradicts a reading that stands still."""
+
+    most_poses: int = tuned(50, "poses", "that are compared, 10 s")
+    settled_m: float = tuned(5.0, "m", "driven after the wheels stand, until the path no longer changes")
+    settled_ns: int = tuned(1_000_000_000, "ns", "that must have passed as well")
+    """Half of both where a run is unusual for the sensor."""
+    least_path_angle: float = tuned(math.radians(2.5), "rad", "of the path, contradicts wheels that stand")
+    slip_share: float = tuned(0.35, "1", "of an angle, by which slip changes it with speed, ground and slope")
+    smoothing: int = tuned(3, "poses", "in a mean of the path's angle")
+    least_turn: float = tuned(0.1, "rad", "between a heading and another measure of it")
+    least_change: float = tuned(0.3, "m/s", "of the rig's speed")
+    least_lean: float = tuned(0.8, "m/s^2", "lateral, at which every body leans by a tenth of a degree")
+
+
+STANDING: Final = StandingTuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +97,14 @@ def _subject(name: str) -> dict[str, str]:
 
 def _add(state: StandingCheck, aligner: Aligner, pose: Pose) -> None:
     u, r = pose.tractor.forward_velocity, pose.tractor.yaw_rate
-    if u is None or r is None or abs(u) < UNDER_WAY:
+    if u is None or r is None or abs(u) < DRIVING.under_way:
         state.poses.clear()
         return
     before = state.poses[-1] if state.poses else None
-    if before is not None and pose.t_ns - before.t_ns != POSE_NS:
+    if before is not None and pose.t_ns - before.t_ns != ALIGNMENT.pose_ns:
         state.poses.clear()
         before = None
-    seconds = POSE_NS * 1e-9 if before else 0.0
+    seconds = ALIGNMENT.pose_ns * 1e-9 if before else 0.0
     rates = r, r if pose.implement.yaw_rate is None else pose.implement.yaw_rate
     headings = pose.tractor.heading, pose.implement.heading
     past = before or MotionAtPose(pose.t_ns, u, 0.0, 0.0, 0.0, (math.nan, math.nan), (0.0, 0.0))
@@ -106,7 +117,7 @@ def _add(state: StandingCheck, aligner: Aligner, pose: Pose) -> None:
             (_unwrapped(tractor, past.heading[0]), _unwrapped(implement, past.heading[1])), turned,
         )
     )  # fmt: skip
-    del state.poses[:-MOST_POSES]
+    del state.poses[: -STANDING.most_poses]
 
 
 def _unwrapped(heading: float | None, before: float) -> float:
@@ -119,23 +130,23 @@ def _contradicts(poses: list[MotionAtPose], name: str, screen: SensorScreen) -> 
     """Whether the rig has moved, since a run of equal readings began, as it could not with them."""
     who, _, quantity = name.partition(" ")
     during = [pose for pose in poses if pose.t_ns >= screen.run_ns]
-    if len(during) < SMOOTHING:
+    if len(during) < STANDING.smoothing:
         return False
     body = int(who.startswith("implement"))
     match quantity:
         case "wheel_angle":
             return _path_left(during, screen)
         case "wheel_speed":
-            return _range([pose.speed for pose in during]) > LEAST_CHANGE
+            return _range([pose.speed for pose in during]) > STANDING.least_change
         case "velocity":
-            turned = _range([pose.heading[body] for pose in during]) > LEAST_TURN
-            return turned or _range([pose.speed for pose in during]) > LEAST_CHANGE
+            turned = _range([pose.heading[body] for pose in during]) > STANDING.least_turn
+            return turned or _range([pose.speed for pose in during]) > STANDING.least_change
         case "yaw_rate":
-            return _bend([pose.heading[body] for pose in during]) > LEAST_TURN
+            return _bend([pose.heading[body] for pose in during]) > STANDING.least_turn
         case "heading":
-            return _range([pose.turned[body] for pose in during]) > LEAST_TURN
+            return _range([pose.turned[body] for pose in during]) > STANDING.least_turn
         case "roll":  # a receiver that never measured it says 0 for ever
-            return screen.stands and _range([pose.lateral for pose in during]) > LEAST_LEAN
+            return screen.stands and _range([pose.lateral for pose in during]) > STANDING.least_lean
     return False
 
 
@@ -146,9 +157,13 @@ def _path_left(during: list[MotionAtPose], screen: SensorScreen) -> bool:
     settled = [
         pose.path_angle
         for pose in during
-        if pose.way - first.way >= share * SETTLED_M and pose.t_ns - first.t_ns >= share * SETTLED_NS
+        if pose.way - first.way >= share * STANDING.settled_m
+        and pose.t_ns - first.t_ns >= share * STANDING.settled_ns
     ]
-    means = [sum(settled[k : k + SMOOTHING]) / SMOOTHING for k in range(len(settled) - SMOOTHING + 1)]
+    means = [
+        sum(settled[k : k + STANDING.smoothing]) / STANDING.smoothing
+        for k in range(len(settled) - STANDING.smoothing + 1)
+    ]
     if not means:
         return False
     largest = max(abs(mean) for mean in means)
@@ -156,7 +171,7 @@ def _path_left(during: list[MotionAtPose], screen: SensorScreen) -> bool:
     if screen.stands and screen.raw is not None:
         largest = max(largest, abs(screen.raw[0]))
         off = max(off, *(abs(mean - screen.raw[0]) for mean in means))
-    return off > LEAST_PATH_ANGLE + SLIP_SHARE * largest
+    return off > STANDING.least_path_angle + STANDING.slip_share * largest
 
 
 def _bend(headings: list[float]) -> float:

@@ -13,17 +13,28 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.tuning import tuned
+
 Array = NDArray[np.float64]
 
-BIAS_SD: Final = 0.01  # rad/s, of a turn rate
-LEAST_HEADING_SD: Final = 0.003  # rad, of a heading change, even if the residuals are smaller
-INTERVALS_FOR_RESIDUALS: Final = 12  # intervals needed to take the noise from the residuals
-SHARED_ENDS: Final = 1.5
-"""Where an interval ends the next one begins: errors of heading and of rate there are in both, with the other
-sign, so that the sum of their products varies by so much more than if intervals were independent."""
-SMOOTHED_S: Final = 0.25  # s: a larger lag is smoothing, not latency
-DELAYED_S: Final = 0.1  # s: so much delay is usual, and learned (unknowns.NAMES, rate_late)
-SURE: Final = 4.5  # sds, beyond it
+
+@dataclass(frozen=True, slots=True)
+class TurnRateLagTuning:
+    """Whether a receiver's turn rate is smoothed, or only late."""
+
+    bias_sd: float = tuned(0.01, "rad/s", "sd of the constant error of a turn rate")
+    least_heading_sd: float = tuned(0.003, "rad", "of a heading change, even if the residuals are smaller")
+    intervals_for_residuals: int = tuned(12, "intervals", "needed to take the noise from the residuals")
+    shared_ends: float = tuned(1.5, "1", "by which the variance is larger than of independent intervals")
+    """Where an interval ends the next one begins: errors of heading and of rate there are in both, with the
+    other sign, so that the sum of their products varies by so much more than if intervals were
+    independent."""
+    smoothed_s: float = tuned(0.25, "s", "a larger lag is smoothing, not latency")
+    delayed_s: float = tuned(0.1, "s", "so much delay is usual, and learned as an unknown of the filters")
+    sure: float = tuned(4.5, "sd", "beyond it")
+
+
+TURN_RATE_LAG: Final = TurnRateLagTuning()
 
 
 @dataclass(slots=True)
@@ -57,10 +68,10 @@ def regress(lag: Lag, change: float, seconds: float, sd_heading: float) -> None:
 
 def time_constant(lag: Lag) -> tuple[float, float]:
     """(tau, its sd), s, of a turn rate."""
-    weights = np.array([0.0, _variance(lag, None) / BIAS_SD**2])
+    weights = np.array([0.0, _variance(lag, None) / TURN_RATE_LAG.bias_sd**2])
     information = lag.information + np.diag(weights) + 1e-9 * np.eye(2)
     found: Array = np.asarray(np.linalg.solve(information, lag.vector), np.float64)
-    variance = SHARED_ENDS * _variance(lag, found)
+    variance = TURN_RATE_LAG.shared_ends * _variance(lag, found)
     return float(found[0]), math.sqrt(variance * np.linalg.inv(information)[0, 0])
 
 
@@ -69,22 +80,22 @@ def _variance(lag: Lag, found: Array | None) -> float:
 
     found: (tau, bias), or None before the regression.
     """
-    stated_variance = max(lag.stated_variance / max(lag.intervals, 1), LEAST_HEADING_SD**2)
-    if found is None or lag.intervals < INTERVALS_FOR_RESIDUALS:
+    stated_variance = max(lag.stated_variance / max(lag.intervals, 1), TURN_RATE_LAG.least_heading_sd**2)
+    if found is None or lag.intervals < TURN_RATE_LAG.intervals_for_residuals:
         return stated_variance
     residual_squares = lag.squares - 2 * found @ lag.vector + found @ lag.information @ found
-    return max(float(residual_squares) / (lag.intervals - 2), LEAST_HEADING_SD**2)
+    return max(float(residual_squares) / (lag.intervals - 2), TURN_RATE_LAG.least_heading_sd**2)
 
 
 def update_verdict(lag: Lag) -> None:
     """Set `smoothed` once the lag is certain; reset it once there clearly is none."""
     if lag.intervals:
         tau, sd = time_constant(lag)
-        found = tau > SMOOTHED_S and tau > DELAYED_S + SURE * sd
-        lag.smoothed = found or (lag.smoothed and tau > SMOOTHED_S / 2)
+        found = tau > TURN_RATE_LAG.smoothed_s and tau > TURN_RATE_LAG.delayed_s + TURN_RATE_LAG.sure * sd
+        lag.smoothed = found or (lag.smoothed and tau > TURN_RATE_LAG.smoothed_s / 2)
 
 
 def settled(lag: Lag) -> bool:
     """Whether it is decided: there is a lag, or none that matters."""
     tau, sd = time_constant(lag)
-    return lag.smoothed or tau + 2.0 * sd < 2.0 * SMOOTHED_S
+    return lag.smoothed or tau + 2.0 * sd < 2.0 * TURN_RATE_LAG.smoothed_s

@@ -2,17 +2,28 @@
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Final
 
-from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
 from tilth.estimator.pose.receiver_track import Stamped
 from tilth.estimator.pose.roll_pitch import RollPitch
 from tilth.estimator.record.record import EAST, HEADING, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE
 from tilth.estimator.rig.geometry import between, lever, rotate, wrap
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
 from tilth.schemas.reasons import Code
 
-SLACK_NS = 2_000_000  # a new latency may move a sample this far before its segment: it does not count as late
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRowsTuning:
+    """Which measurements are in time for a segment."""
+
+    slack_ns: int = tuned(2_000_000, "ns", "by which a new latency may move a sample before its segment")
+
+
+MEASURED_ROWS: Final = MeasuredRowsTuning()
+
 _POSITION, _VELOCITY, _YAW_RATE, _HEADING, _ROLL = range(5)  # columns of UsedSamples.newest_ns
 
 Row = tuple[int, float, float, float, float]  # ns after the first tick; kind, place, value, sd of record.ROWS
@@ -99,7 +110,7 @@ def _of_receiver(
         found = _new_samples(samples, newest[kind], end_ns)
         if found:
             newest[kind] = found[0][0]
-        while found and found[-1][0] < start_ns - SLACK_NS:
+        while found and found[-1][0] < start_ns - MEASURED_ROWS.slack_ns:
             found.pop()
             used.late += follows_last
         return found
@@ -140,7 +151,7 @@ def _new_samples(samples: deque[Stamped], newest_ns: int, end_ns: int) -> list[S
 
 
 def _at(line: Line, since_ns: int) -> float:
-    return line[0] + (line[1] - line[0]) * (since_ns / POSE_NS)
+    return line[0] + (line[1] - line[0]) * (since_ns / ALIGNMENT.pose_ns)
 
 
 def _pitch_displacement(span: _Span, receiver: Receiver, since_ns: int) -> float:

@@ -8,32 +8,46 @@ by less than the aligner's deadline have come, and a fix that was lost in betwee
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
-from tilth.estimator.pose.aligner import MOUNTS, POSE_NS, Aligner
+from tilth.estimator.driving import DRIVING
+from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
 from tilth.estimator.pose.receiver_track import Sample
 from tilth.estimator.pose.roll_pitch import roll_pitch_at
 from tilth.estimator.record.measured_rows import Knot, Row, UsedSamples, rows_between
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment
 from tilth.estimator.rig.geometry import wrap
-from tilth.estimator.rig.residuals import UNDER_WAY
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
 
-TICKS = POSE_NS // TICK_NS  # of a segment
-LARGEST_WHEEL_ANGLE = math.radians(37.0)
-LARGEST_ARTICULATION = math.radians(62.0)
-"""Full lock of a tractor's wheels, and what a headland turn at full lock folds the rig to, with a margin. Up
-to there the motion model is exact; beyond, a wheel angle is more likely wrong, and a hitch near its stop."""
-ROUGHEST_HEADING = math.radians(2.0)  # largest sd of a heading to linearise about
+TICKS = ALIGNMENT.pose_ns // TICK_NS  # of a segment
+
+
+@dataclass(frozen=True, slots=True)
+class RecordTuning:
+    """Which driving is learned from."""
+
+    largest_wheel_angle: float = tuned(math.radians(37.0), "rad", "full lock of a tractor, with a margin")
+    largest_articulation: float = tuned(
+        math.radians(62.0), "rad", "a headland turn at full lock, with a margin"
+    )
+    """Up to there the motion model is exact; beyond, a wheel angle is more likely wrong, and a hitch near its
+    stop."""
+    roughest_heading: float = tuned(math.radians(2.0), "rad", "largest sd of a heading to linearise about")
+    wheel_gap_ns: int = tuned(150_000_000, "ns", "longest gap to interpolate: of a 10 Hz sensor with jitter")
+    settling: int = tuned(10, "segments", "driven after a refusal (2 s) before anything is learned again")
+
+
+RECORD: Final = RecordTuning()
+
 WAYS_OF_DRIVING = (
     None, Code.SETTLING, Code.REVERSE, Code.TOO_SLOW, Code.BEYOND_WHEEL_ANGLE, Code.BEYOND_ARTICULATION,
 )  # fmt: skip
 """Reasons of segments in which nothing is wrong with the data; None where something may be learned."""
-WHEEL_GAP_NS = 150_000_000  # longest gap that is interpolated: the period of a 10 Hz sensor, with its jitter
-SETTLING = 10  # segments (2 s) that are driven after a refusal before anything is learned again
 
 _REFUSING = (
     (MISPLACED, Code.RECEIVERS_MISPLACED),
@@ -103,7 +117,7 @@ def _settle(state: RecordState, reason: Code | None) -> Code | None:
     """The reason to refuse the segment, which is counted; None if it may be learned from."""
     if reason:
         state.settled = 0
-    elif state.settled < SETTLING:
+    elif state.settled < RECORD.settling:
         state.settled += 1
         reason = Code.SETTLING
     if reason:
@@ -113,7 +127,7 @@ def _settle(state: RecordState, reason: Code | None) -> Code | None:
 
 def _gap_reason(start: Knot, end: Knot, after: Knot) -> Code | None:
     """Why these poses are not consecutive in one plane."""
-    if end.t_ns - start.t_ns != POSE_NS or after.t_ns - end.t_ns != POSE_NS:
+    if end.t_ns - start.t_ns != ALIGNMENT.pose_ns or after.t_ns - end.t_ns != ALIGNMENT.pose_ns:
         return Code.POSE_GAP
     if not start.origin_deg == end.origin_deg == after.origin_deg:
         return Code.NEW_ORIGIN
@@ -124,7 +138,7 @@ def _refusal(start: Knot, end: Knot, after: Knot, record: Record) -> Code | None
     """Why nothing may be learned from this segment."""
     # The flags of the next pose show a fix that was lost in between, and positions that are doubtful.
     reason = start.reason or end.reason or after.reason
-    if not reason and float(np.abs(record.ticks[:, 0]).max()) > LARGEST_WHEEL_ANGLE:
+    if not reason and float(np.abs(record.ticks[:, 0]).max()) > RECORD.largest_wheel_angle:
         return Code.BEYOND_WHEEL_ANGLE
     return reason
 
@@ -164,13 +178,13 @@ def _reason(pose: Pose) -> Code | None:
     if pose.direction < 0:
         return Code.REVERSE
     bodies, u = (pose.tractor, pose.implement), pose.tractor.forward_velocity
-    if any(body.sd_heading is None or body.sd_heading > ROUGHEST_HEADING for body in bodies):
+    if any(body.sd_heading is None or body.sd_heading > RECORD.roughest_heading for body in bodies):
         return Code.NO_HEADING
     if u is None or pose.tractor.yaw_rate is None or pose.articulation is None:
         return Code.POSE_INCOMPLETE
-    if u < UNDER_WAY:
+    if u < DRIVING.under_way:
         return Code.TOO_SLOW
-    if abs(pose.articulation) > LARGEST_ARTICULATION:
+    if abs(pose.articulation) > RECORD.largest_articulation:
         return Code.BEYOND_ARTICULATION
     return None
 
@@ -183,7 +197,7 @@ def wheel_angles(samples: deque[Sample], t_ns: int) -> list[float] | None:
     """
     # If every tick has samples, the means of one tick on either side suffice.
     return _interpolate(_means(samples, t_ns, 1)) or _interpolate(
-        _means(samples, t_ns, WHEEL_GAP_NS // TICK_NS + 1)
+        _means(samples, t_ns, RECORD.wheel_gap_ns // TICK_NS + 1)
     )
 
 
@@ -207,13 +221,13 @@ def _interpolate(means: list[tuple[float, float]]) -> list[float] | None:
     """The value at each tick, linear between means; None if a gap is too long or an end is missing."""
     out: list[float] = []
     k = 1
-    for tick in range(0, POSE_NS, TICK_NS):
+    for tick in range(0, ALIGNMENT.pose_ns, TICK_NS):
         while k < len(means) and means[k][0] < tick:
             k += 1
         if k >= len(means) or means[k - 1][0] > tick:
             return None
         (before, low), (after, high) = means[k - 1], means[k]
-        if after - before > WHEEL_GAP_NS:
+        if after - before > RECORD.wheel_gap_ns:
             return None
         out.append(low + (high - low) * (tick - before) / (after - before))
     return out

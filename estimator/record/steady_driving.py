@@ -8,21 +8,29 @@ sample. Waiting for it would leave nothing of most headland turns. A refused pos
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from typing import Final
 
-from tilth.estimator.record.record_builder import (
-    LARGEST_ARTICULATION,
-    LARGEST_WHEEL_ANGLE,
-)
+from tilth.estimator.record.record_builder import RECORD
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 from tilth.schemas.reasons import Code
 
-SLOWEST = 1.2  # m/s: at lower speeds slip is too small compared with noise
-BLOCK = 5  # poses that are averaged into one sample
-SETTLING = 2.0  # time constants of the implement: then slip angles follow it but for a few hundredths
-SETTLING_S = 3.0
-STEER_RANGE = math.radians(1.2)  # of the wheel angle within a block
-SPEED_RANGE = 0.4  # m/s
-LONGEST_GAP_S = 1.0
+
+@dataclass(frozen=True, slots=True)
+class SteadyDrivingTuning:
+    """Which driving is steady."""
+
+    slowest: float = tuned(1.2, "m/s", "at lower speeds slip is too small for the noise of one sample")
+    block: int = tuned(5, "poses", "that are averaged into one sample")
+    settling: float = tuned(2.0, "1", "of the implement's time constant: then slip angles follow it")
+    settling_s: float = tuned(3.0, "s", "after a change, in which nothing is steady")
+    steer_range: float = tuned(math.radians(1.2), "rad", "of the wheel angle within a block")
+    speed_range: float = tuned(0.4, "m/s", "of the speed within a block")
+    longest_gap_s: float = tuned(1.0, "s", "between two samples of one turn")
+
+
+STEADY_DRIVING: Final = SteadyDrivingTuning()
+
 
 _DISQUALIFYING = (
     (MISPLACED, Code.RECEIVERS_MISPLACED),
@@ -66,7 +74,7 @@ class SteadySample:
 class Steadiness:
     """State of the detection."""
 
-    block: deque[SteadySample] = field(default_factory=lambda: deque(maxlen=BLOCK))
+    block: deque[SteadySample] = field(default_factory=lambda: deque(maxlen=STEADY_DRIVING.block))
     unaveraged: int = 0  # poses of the block that have not been part of an average
     settled: float = 0.0  # s over time constants of the implement, since the last change
     settling_s: float = 0.0  # s still to wait
@@ -80,7 +88,7 @@ def observe(
     seconds: since the pose before; implement_length: d + e, m.
     """
     sample, reason = _sample(pose)
-    if sample is None or seconds > LONGEST_GAP_S:
+    if sample is None or seconds > STEADY_DRIVING.longest_gap_s:
         state.block.clear()
         _start_settling(state)
         return None, reason or Code.POSE_GAP
@@ -92,7 +100,7 @@ def observe(
         state.unaveraged = 0
         return None, reason
     state.unaveraged += 1
-    if state.unaveraged < BLOCK:
+    if state.unaveraged < STEADY_DRIVING.block:
         return None, None
     state.unaveraged = 0
     return _mean(list(state.block)), None
@@ -100,21 +108,21 @@ def observe(
 
 def _start_settling(state: Steadiness) -> None:
     state.settled = 0.0
-    state.settling_s = SETTLING_S
+    state.settling_s = STEADY_DRIVING.settling_s
     state.unaveraged = 0
 
 
 def _unsteady_reason(state: Steadiness) -> Code | None:
-    if len(state.block) < BLOCK:
+    if len(state.block) < STEADY_DRIVING.block:
         return Code.SETTLING
     angles = [s.wheel_angle for s in state.block]
     speeds = [s.u for s in state.block]
-    if max(angles) - min(angles) > STEER_RANGE:
+    if max(angles) - min(angles) > STEADY_DRIVING.steer_range:
         _start_settling(state)
         return Code.TURNING_IN_OR_OUT
-    if max(speeds) - min(speeds) > SPEED_RANGE:
+    if max(speeds) - min(speeds) > STEADY_DRIVING.speed_range:
         return Code.SPEED_NOT_STEADY
-    if state.settled < SETTLING or state.settling_s > 0:
+    if state.settled < STEADY_DRIVING.settling or state.settling_s > 0:
         return Code.SETTLING
     return None
 
@@ -143,15 +151,15 @@ def _sample(pose: Pose) -> tuple[SteadySample | None, Code | None]:
         return None, Code.REVERSE
     tractor, implement = pose.tractor, pose.implement
     u = tractor.forward_velocity
-    if u is not None and u < SLOWEST:
+    if u is not None and u < STEADY_DRIVING.slowest:
         return None, Code.TOO_SLOW
     if pose.wheel_angle is None:
         return None, Code.NO_WHEEL_ANGLE
     if pose.articulation is None or tractor.yaw_rate is None or implement.yaw_rate is None or u is None:
         return None, Code.POSE_INCOMPLETE
-    if abs(pose.wheel_angle) > LARGEST_WHEEL_ANGLE:
+    if abs(pose.wheel_angle) > RECORD.largest_wheel_angle:
         return None, Code.BEYOND_WHEEL_ANGLE
-    if abs(pose.articulation) > LARGEST_ARTICULATION:
+    if abs(pose.articulation) > RECORD.largest_articulation:
         return None, Code.BEYOND_ARTICULATION
     sample = SteadySample(
         u=u,

@@ -1,28 +1,41 @@
 """Windows of driving, collected segment by segment, for estimators that fit a whole window at once.
 
-Driving decides where they begin and end. A window opens LEAD before the wheels turn, so that a filter's
-state has settled by then. It closes QUIET after they are straight again, if it has enough steering; if not,
-it waits for the next steering, up to WINDOW, and both are fitted together with the straight driving between
-them. A segment that is refused ends it at once.
+Driving decides where they begin and end. A window opens `lead` before the wheels turn, so that a filter's
+state has settled by then. It closes `quiet` after they are straight again, if it has enough steering; if
+not, it waits for the next steering, up to `longest`, and both are fitted together with the straight driving
+between them. A segment that is refused ends it at once.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
+from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
 
-WINDOW: Final = 150  # segments, 30 s: the longest window
-SHORTEST: Final = 30  # segments, 6 s: a shorter window is not fitted
-LEAD: Final = 10  # segments, 2 s, of straight driving that are kept before the wheels turn
-QUIET: Final = 15  # segments, 3 s, of straight driving after which a window with enough steering closes
-ENOUGH_S: Final = 8.0  # s with turned wheels: with less, a window waits for the next steering
-TURNED: Final = math.radians(1.5)  # the wheels are turned: further than most corrections along a row
+
+@dataclass(frozen=True, slots=True)
+class WindowTuning:
+    """Where a window of a fit begins and ends."""
+
+    longest: int = tuned(150, "segments", "of the longest window, 30 s")
+    shortest: int = tuned(30, "segments", "a window shorter than 6 s is not fitted")
+    lead: int = tuned(10, "segments", "of straight driving, 2 s, that are kept before the wheels turn")
+    quiet: int = tuned(15, "segments", "of straight driving, 3 s, that close a window with enough steering")
+    enough_s: float = tuned(8.0, "s", "with turned wheels: with less, a window waits for the next steering")
+    turned: float = tuned(
+        math.radians(1.5), "rad", "beyond it wheels are turned: most corrections in rows are less"
+    )
+
+
+WINDOWS: Final = WindowTuning()
+
 TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
 """State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
 
@@ -68,12 +81,12 @@ def _add_segment(state: Collecting, segment: Segment, least_steering: float, zer
         return
     window = state.window
     window.append(segment)
-    if len(window) <= LEAD + 1 and not _turned(window, zero):
+    if len(window) <= WINDOWS.lead + 1 and not _turned(window, zero):
         state.reason = Code.TOO_LITTLE_STEERING
-        if len(window) > LEAD:
+        if len(window) > WINDOWS.lead:
             del window[0]
             refuse(state, Code.TOO_LITTLE_STEERING)
-    elif len(window) >= WINDOW:
+    elif len(window) >= WINDOWS.longest:
         _close_full_window(state, least_steering, zero)
     elif _is_complete(window, least_steering, zero):
         close_window(state, least_steering, zero)
@@ -86,7 +99,7 @@ def _close_full_window(state: Collecting, least_steering: float, zero: float) ->
     that has begun is not cut, unless steering goes on without end."""
     window = list(state.window)
     begin = _last_straight(window, zero)
-    if 2 * begin >= WINDOW:
+    if 2 * begin >= WINDOWS.longest:
         del state.window[begin:]
         close_window(state, least_steering, zero)
         state.window.extend(window[begin:])
@@ -95,9 +108,11 @@ def _close_full_window(state: Collecting, least_steering: float, zero: float) ->
 
 
 def _last_straight(window: list[Segment], zero: float) -> int:
-    """Where the last LEAD of straight driving begins; 0 without any."""
+    """Where the last `lead` of straight driving begins; 0 without any."""
     turned = [_turned([segment], zero) for segment in window]
-    return next((k for k in range(len(window) - LEAD, 0, -1) if not any(turned[k : k + LEAD])), 0)
+    return next(
+        (k for k in range(len(window) - WINDOWS.lead, 0, -1) if not any(turned[k : k + WINDOWS.lead])), 0
+    )
 
 
 def close_window(state: Collecting, least_steering: float, zero: float) -> bool:
@@ -109,7 +124,7 @@ def close_window(state: Collecting, least_steering: float, zero: float) -> bool:
     state.window.clear()
     if not _turned(window, zero):
         return False  # its segments were not begun to be used
-    if len(window) < SHORTEST:
+    if len(window) < WINDOWS.shortest:
         why_not = Code.TOO_SHORT
     elif not _has_steering(window, least_steering):
         why_not = state.reason = _lacking(window, zero)
@@ -129,29 +144,29 @@ def _wheel_angles(window: list[Segment]) -> Array:
 
 def _turned(window: list[Segment], zero: float) -> bool:
     """Whether the wheels are turned anywhere in these segments."""
-    return bool(np.any(np.abs(_wheel_angles(window) - zero) > TURNED))
+    return bool(np.any(np.abs(_wheel_angles(window) - zero) > WINDOWS.turned))
 
 
 def _is_complete(window: list[Segment], least_steering: float, zero: float) -> bool:
     """Whether the wheels are straight again after so much steering that the window need not wait for more."""
-    if len(window) < QUIET + LEAD or _turned(window[-QUIET:], zero):
+    if len(window) < WINDOWS.quiet + WINDOWS.lead or _turned(window[-WINDOWS.quiet :], zero):
         return False
-    turned_s = float(np.sum(np.abs(_wheel_angles(window) - zero) > TURNED)) * TICK_NS * 1e-9
-    return turned_s >= ENOUGH_S and _has_steering(window, least_steering)
+    turned_s = float(np.sum(np.abs(_wheel_angles(window) - zero) > WINDOWS.turned)) * TICK_NS * 1e-9
+    return turned_s >= WINDOWS.enough_s and _has_steering(window, least_steering)
 
 
 def _has_steering(window: list[Segment], least_steering: float) -> bool:
-    """Whether a window, however short, has as much steering as one of WINDOW needs: the sum of squares
+    """Whether a window, however short, has as much steering as one of `longest` needs: the sum of squares
     counts, so that a short piece of a row with large corrections does not pass where the row does not.
 
     least_steering: as of `collect`.
     """
-    return float(np.var(_wheel_angles(window))) * len(window) >= least_steering**2 * WINDOW
+    return float(np.var(_wheel_angles(window))) * len(window) >= least_steering**2 * WINDOWS.longest
 
 
 def _lacking(window: list[Segment], zero: float) -> Code:
     """Why a window has not enough steering."""
-    held = bool(np.all(np.abs(_wheel_angles(window) - zero) > TURNED))
+    held = bool(np.all(np.abs(_wheel_angles(window) - zero) > WINDOWS.turned))
     return Code.HELD if held else Code.TOO_LITTLE_STEERING
 
 

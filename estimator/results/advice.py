@@ -16,12 +16,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT, N_STATES
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.models import identifiability
-from tilth.estimator.models.manoeuvres import START_S, manoeuvre_named
+from tilth.estimator.models.manoeuvres import MANOEUVRE, manoeuvre_named
 from tilth.estimator.record.record import (
     EAST,
     HEADING,
@@ -42,25 +43,32 @@ from tilth.estimator.record.record import (
     Record,
     U,
 )
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Advice, AdviceKind, Combination
 
 Array = NDArray[np.float64]
 
-SUPPORTED: Final = 0.5  # largest posterior over prior sd of a parameter or combination that is determined
-# a ratio or product of two is preferred unless a direction is known so much better
-PAIR_PREFERENCE: Final = 2.0
-LEAST_INFORMATION: Final = 1e-3  # over the prior's: directions with less count as unobserved
-SECONDS: Final = 10.0  # duration of a manoeuvre
-TARGET: Final = 0.10  # sd of a logarithm that is good enough: no sharper manoeuvre is advised to go below it
-WORTHWHILE: Final = 0.85  # a manoeuvre must bring an sd below this share of the present one
-SLOWEST: Final = 1.5  # m/s: at lower speeds slip is too small to learn from
-LARGEST_ACCELERATION: Final = 2.0  # m/s^2, lateral, of an advised manoeuvre
-HERTZ: Final = 5.0  # assumed rate of a receiver
-EVERY_NS: Final = 10_000_000_000
-# change of a logarithm, or relative change of speed, after which the table is rebuilt
-REBUILD_CHANGE: Final = 0.15
+
+@dataclass(frozen=True, slots=True)
+class AdviceTuning:
+    """Which manoeuvre is advised."""
+
+    supported: float = tuned(0.5, "1", "largest posterior over prior sd of what counts as determined")
+    pair_preference: float = tuned(2.0, "1", "a pair is preferred unless a direction is known so much better")
+    least_information: float = tuned(1e-3, "1", "over the prior's: directions with less count as unobserved")
+    seconds: float = tuned(10.0, "s", "duration of a manoeuvre")
+    target: float = tuned(0.10, "1", "sd of a logarithm that is good enough: nothing sharper is advised")
+    worthwhile: float = tuned(0.85, "1", "share of the present sd below which a manoeuvre must bring it")
+    largest_acceleration: float = tuned(2.0, "m/s^2", "lateral, of an advised manoeuvre")
+    receiver_rate: float = tuned(5.0, "1/s", "assumed of a receiver")
+    every_ns: int = tuned(10_000_000_000, "ns", "between two looks at what to advise")
+    rebuild_change: float = tuned(0.15, "1", "of a logarithm, or the speed, after which the table is renewed")
+    turn_speed: float = tuned(2.0, "m/s", "headland turns are driven no faster")
+
+
+ADVICE: Final = AdviceTuning()
 
 
 class Candidate(NamedTuple):
@@ -73,7 +81,6 @@ CANDIDATES: Final = (
     TURN,  # is driven anyway
     *(Candidate(name, degrees) for degrees in (3.0, 5.0, 8.0) for name in ("step", "steps", "chirp")),
 )
-TURN_SPEED: Final = 2.0  # m/s: headland turns are driven no faster
 NO_ERROR: Final = np.zeros(len(PARAMETERS))
 # the candidates draw no random numbers: a driver could not follow those
 NO_DRAW: Final = cast(Generator, None)
@@ -100,7 +107,7 @@ def eigenvalues(information: Array, prior_sd: Array) -> tuple[float, ...]:
 def bound(information: Array, prior_sd: Array) -> tuple[float | None, ...]:
     """Cramér-Rao bound: smallest sd of each parameter by the data alone; None if they do not determine it."""
     values, vectors = np.linalg.eigh(information * np.outer(prior_sd, prior_sd))
-    rows = np.sqrt(np.where(values > LEAST_INFORMATION, values, 0.0))[:, None] * vectors.T
+    rows = np.sqrt(np.where(values > ADVICE.least_information, values, 0.0))[:, None] * vectors.T
     if not rows.any():
         return (None,) * len(prior_sd)
     found = identifiability.bound(rows, [str(k) for k in range(len(prior_sd))]).sd * prior_sd
@@ -114,7 +121,7 @@ def determined(information: Array, prior_sd: Array) -> tuple[Combination, ...]:
     prior: Array = np.diag(prior_sd**2)
     posterior: Array = np.asarray(np.linalg.inv(np.diag(prior_sd**-2.0) + information), np.float64)
     sd = np.sqrt(np.diag(posterior))
-    single = [k for k in range(n) if sd[k] <= SUPPORTED * prior_sd[k]]
+    single = [k for k in range(n) if sd[k] <= ADVICE.supported * prior_sd[k]]
     found = [_combination(np.eye(n)[k], float(sd[k])) for k in single]
     rest = [k for k in range(n) if k not in single]
     if len(rest) < 2:
@@ -157,9 +164,9 @@ def _best(posterior: Array, prior: Array) -> Array | None:
     general *= np.sign(general[np.argmax(np.abs(general))])
     score, k = min((_sd_ratio(w, posterior, prior), k) for k, w in enumerate(pairs))
     best = _sd_ratio(general, posterior, prior)
-    if score <= min(SUPPORTED, PAIR_PREFERENCE * best):
+    if score <= min(ADVICE.supported, ADVICE.pair_preference * best):
         return pairs[k]
-    return np.asarray(general) if best <= SUPPORTED else None
+    return np.asarray(general) if best <= ADVICE.supported else None
 
 
 def _sd_ratio(weights: Array, posterior: Array, prior: Array) -> float:
@@ -184,10 +191,10 @@ def information(
     point: Array,
     speed: float,
     candidate: Candidate,
-    hertz: Sequence[float] = (HERTZ,) * 4,
+    hertz: Sequence[float] = (ADVICE.receiver_rate,) * 4,
     linear: bool = False,
 ) -> Array:
-    """Predicted information of SECONDS of a manoeuvre on unknowns.NAMES, (n, n).
+    """Predicted information of `seconds` of a manoeuvre on unknowns.NAMES, (n, n).
 
     point: (n,), where it is linearised. speed: m/s. hertz: rate of each receiver, in the order of flow.Mount.
     linear: as rig_setup.
@@ -209,7 +216,7 @@ def planned(
     machine: Machine, point: Array, speed: float, candidate: Candidate, hertz: Sequence[float], linear: bool
 ) -> Record:
     """The record of a candidate as it is expected, without noise. Arguments as of `information`."""
-    time: Array = np.arange(round((SECONDS + START_S) / DT) + 1, dtype=np.float64) * DT
+    time: Array = np.arange(round((ADVICE.seconds + MANOEUVRE.start_s) / DT) + 1, dtype=np.float64) * DT
     steering = manoeuvre_named(candidate.manoeuvre).wheel_angle
     angles = steering(time, math.radians(candidate.degrees), NO_DRAW)
     rows = planned_rows(machine, len(angles), hertz)
@@ -289,7 +296,7 @@ def _is_noise() -> NDArray[np.bool_]:
 
 
 def _speed_of(candidate: Candidate, speed: float) -> float:
-    return min(speed, TURN_SPEED) if candidate == TURN else speed
+    return min(speed, ADVICE.turn_speed) if candidate == TURN else speed
 
 
 def _effort(candidate: Candidate) -> float:
@@ -297,9 +304,9 @@ def _effort(candidate: Candidate) -> float:
 
 
 def gentle(machine: Machine, speed: float, turns: bool = True) -> tuple[Candidate, ...]:
-    """The candidates within LARGEST_ACCELERATION at a speed, m/s, mildest first. turns: with TURN."""
+    """The candidates within `largest_acceleration` at a speed, m/s, mildest first. turns: with TURN."""
     wheelbase = machine.tractor.wheelbase
-    limit = LARGEST_ACCELERATION * wheelbase
+    limit = ADVICE.largest_acceleration * wheelbase
     return tuple(
         c
         for c in CANDIDATES
@@ -320,10 +327,10 @@ def advise(
     mean (n,), covariance (n, n): over unknowns.NAMES. table: candidate -> its `information`, as far as
     computed. kept: as of `predicted`.
     """
-    if speed < SLOWEST:
-        return Advice(AdviceKind.TOO_SLOW, speed=SLOWEST)
+    if speed < DRIVING.cruise:
+        return Advice(AdviceKind.TOO_SLOW, speed=DRIVING.cruise)
     now, prior_sd = np.sqrt(np.diag(covariance)[SIX]), unknowns.prior(machine)[1][SIX]
-    undetermined = [k for k in range(len(PARAMETERS)) if now[k] > SUPPORTED * prior_sd[k]]
+    undetermined = [k for k in range(len(PARAMETERS)) if now[k] > ADVICE.supported * prior_sd[k]]
     known = not undetermined
     if known:
         undetermined = [int(np.argmax(now))]
@@ -338,13 +345,13 @@ def advise(
         angle = math.radians(candidate.degrees)
         lateral = angle * _speed_of(candidate, speed) ** 2 / wheelbase / math.sqrt(2.0)
         held = 0.0 if candidate.manoeuvre == "chirp" else 1.0
-        tight = angle > fit_covariance.TIGHT
+        tight = angle > fit_covariance.FIT_COVARIANCE.tight
         errors = fit_covariance.model_sd(tight, lateral, uneven, mean[SIX], held=held)
         after[candidate] = predicted(covariance, brought, errors, kept)
     chosen = _choose({c: sd[undetermined] for c, sd in after.items()}, now[undetermined])
     if not after:
         return start
-    advised = replace(start, kind=AdviceKind.NOTHING_HELPS, seconds=SECONDS)
+    advised = replace(start, kind=AdviceKind.NOTHING_HELPS, seconds=ADVICE.seconds)
     if chosen is not None:
         advised = replace(
             advised, kind=AdviceKind.MANOEUVRE, manoeuvre=chosen.manoeuvre, degrees=chosen.degrees,
@@ -357,21 +364,21 @@ def _with_next_turn(advised: Advice, now: Array, after: Array) -> Advice:
     """With what the headland turn that comes anyway would bring: of the parameter, of six, that it tells most
     of."""
     k = int(np.argmin(after / now))
-    if after[k] > WORTHWHILE * now[k]:
+    if after[k] > ADVICE.worthwhile * now[k]:
         return advised
     return replace(advised, turn_tells=PARAMETERS[k], turn_after=float(after[k]))
 
 
 def _choose(after: Mapping[Candidate, Array], now: Array) -> Candidate | None:
-    """The mildest candidate whose largest sd reaches TARGET or nearly the best of all; None if none is
+    """The mildest candidate whose largest sd reaches `target` or nearly the best of all; None if none is
     worthwhile.
 
     after: sds of the k undetermined parameters after each candidate, (k,), as `now`.
     """
-    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < WORTHWHILE * now)}
+    worth = {c: float(sd.max()) for c, sd in after.items() if np.any(sd < ADVICE.worthwhile * now)}
     if not worth:
         return None
-    enough = max(TARGET, 1.1 * min(worth.values()))
+    enough = max(ADVICE.target, 1.1 * min(worth.values()))
     mildest = min(_effort(c) for c, worst in worth.items() if worst <= enough)
     return min((c for c in worth if _effort(c) == mildest), key=lambda c: worth[c])
 
@@ -391,16 +398,16 @@ def renew(
     state: Advisor, machine: Machine, mean: Array, covariance: Array, speed: float, t_ns: int,
     turns: bool = True, kept: Array = NO_ERROR,
 ) -> Advice | None:  # fmt: skip
-    """The present advice; each EVERY_NS it is renewed with one more candidate. turns: whether the estimator
+    """The present advice; each `every_ns` it is renewed with one more candidate. turns: whether the estimator
     learns tyres from headland turns. Other arguments as `advise`."""
-    if state.renewed_ns and state.renewed_ns <= t_ns < state.renewed_ns + EVERY_NS:
+    if state.renewed_ns and state.renewed_ns <= t_ns < state.renewed_ns + ADVICE.every_ns:
         return state.advice
     state.renewed_ns = t_ns
-    if speed < SLOWEST:
+    if speed < DRIVING.cruise:
         return state.advice
     far = (
-        np.abs(mean - state.point)[SIX].max() > REBUILD_CHANGE
-        or abs(speed - state.speed) > REBUILD_CHANGE * speed
+        np.abs(mean - state.point)[SIX].max() > ADVICE.rebuild_change
+        or abs(speed - state.speed) > ADVICE.rebuild_change * speed
     )
     if not state.table or far:
         state.point, state.speed, state.table = mean.copy(), speed, []

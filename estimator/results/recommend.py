@@ -3,11 +3,12 @@ chosen."""
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, Status
 from tilth.schemas.reasons import Code, Reason
 
@@ -15,16 +16,32 @@ RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
 """Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
 from which neither can learn. No other method is recommended."""
-FRESH_S: Final = 120.0  # if pem's window is older, tracker is better
+
+
+@dataclass(frozen=True, slots=True)
+class RecommendationTuning:
+    """Which method's estimate is recommended."""
+
+    fresh_s: float = tuned(120.0, "s", "if the window of pem is older, tracker is better")
+    disagree_above: Mapping[int, float] = tuned(
+        {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5},
+        "chi^2",
+        "by the number of parameters, 0.1 %: above, two methods disagree",
+    )
+    """Chi-square of so many parameters, 0.1 %."""
+    agree_below: Mapping[int, float] = tuned(
+        {1: 3.8, 2: 6.0, 3: 7.8, 4: 9.5, 5: 11.1, 6: 12.6},
+        "chi^2",
+        "5 %: a disagreement ends later than it begins",
+    )
+
+
+RECOMMENDATION: Final = RecommendationTuning()
+
 SINCE_CHANGE: Final = "since_soil_change_s"  # key in `excitation` of a method that detects changes at once
 LEANS: Final = ("lean_tractor_deg", "lean_implement_deg", "cross_slope_deg")
 """Keys in tracker's `excitation`: how far the bodies lean on their tyres, and the ground under the tractor,
 right side down; the recommended estimate has them whichever method it is of."""
-
-DISAGREE_ABOVE: Final = {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5}
-"""Chi-square of so many parameters, 0.1 %."""
-AGREE_BELOW: Final = {1: 3.8, 2: 6.0, 3: 7.8, 4: 9.5, 5: 11.1, 6: 12.6}
-"""5 %: a disagreement ends later than it begins."""
 
 
 def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = False) -> Estimate:
@@ -54,7 +71,7 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
 
     before: whether some disagreed at the last call.
     """
-    limits = AGREE_BELOW if before else DISAGREE_ABOVE
+    limits = RECOMMENDATION.agree_below if before else RECOMMENDATION.disagree_above
     candidates = [
         e
         for e in (estimates[m] for m in PREFERRED if m in estimates)
@@ -64,7 +81,7 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
         for other in candidates[k + 1 :]:
             distance, shared = _distance(one, other)
             if shared and not distance <= limits[shared]:  # nan counts as disagreement
-                numbers = (distance, float(shared), DISAGREE_ABOVE[shared])
+                numbers = (distance, float(shared), RECOMMENDATION.disagree_above[shared])
                 return Reason(Code.DISAGREE, (one.method, other.method), numbers)
     return None
 
@@ -78,7 +95,7 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
         age, change = _age(pem), _since_change(estimates)
         if change < age:
             yield tracker, Reason(Code.SOIL_CHANGED_SINCE, (tracker.method,), (change,))
-        elif age > FRESH_S:
+        elif age > RECOMMENDATION.fresh_s:
             old = Reason(Code.WINDOW_OLD, (tracker.method,), (age,))
             yield tracker, old if math.isfinite(age) else Reason(Code.NO_WINDOW, (tracker.method,))
     if _outdated(estimates):

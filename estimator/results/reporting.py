@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX, UNKNOWNS
 from tilth.estimator.results import advice
-from tilth.estimator.results.advice import SUPPORTED
+from tilth.estimator.results.advice import ADVICE
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice
@@ -18,11 +20,20 @@ from tilth.schemas.reasons import Advice, Code, Reason
 Array = NDArray[np.float64]
 
 MODEL: Final = "relaxation"
-PUBLISH_NS: Final = 1_000_000_000
-STALE_S: Final = 300.0
-WITHDRAWN: Final = 0.6  # posterior over prior sd of a logarithm, above which a number is withdrawn
-LARGEST_DEVIATION: Final = 4.5  # prior sds: a value further from the prior mean is no tyre's
-RANK_GAIN: Final = 3.0  # information over prior information, for a direction to count as determined
+
+
+@dataclass(frozen=True, slots=True)
+class ReportingTuning:
+    """Which numbers are published."""
+
+    publish_ns: int = tuned(1_000_000_000, "ns", "between two estimates of a method")
+    stale_s: float = tuned(300.0, "s", "without anything learned for so long an estimate is stale")
+    withdrawn: float = tuned(0.6, "1", "posterior over prior sd, above which a number is withdrawn")
+    largest_deviation: float = tuned(4.5, "sd", "of the prior: a value further from its mean is no tyre's")
+    rank_gain: float = tuned(3.0, "1", "information over the prior's, for a direction to be determined")
+
+
+REPORTING: Final = ReportingTuning()
 
 
 class Learning(Protocol):
@@ -58,12 +69,12 @@ def age_s(informed_ns: int, t_ns: int) -> float | None:
 def is_supported(has_number: bool, sd_log: float, prior_sd: float) -> bool:
     """Whether a logarithm's sd is small enough for a number, with hysteresis: has_number, whether it had
     one."""
-    return sd_log <= (WITHDRAWN if has_number else SUPPORTED) * prior_sd
+    return sd_log <= (REPORTING.withdrawn if has_number else ADVICE.supported) * prior_sd
 
 
 def stale_reason(code: Code, seconds: float | None) -> Reason | None:
     """Why numbers are stale after so many seconds of what the code says."""
-    return Reason(code, numbers=(seconds,)) if seconds is not None and seconds > STALE_S else None
+    return Reason(code, numbers=(seconds,)) if seconds is not None and seconds > REPORTING.stale_s else None
 
 
 def parameter(
@@ -141,7 +152,7 @@ def six_parameter_estimate(
             for k in active
             if k > 5
         },
-        rank=int(np.sum(eigenvalues > RANK_GAIN)),
+        rank=int(np.sum(eigenvalues > REPORTING.rank_gain)),
         condition=float(eigenvalues.max() / eigenvalues.min()) if eigenvalues.min() > 0.0 else None,
         excitation=excitation,
         window_s=state.window_s,

@@ -5,14 +5,25 @@ Amounts are SI. Nothing is checked for what cannot be.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine, Quantity, Receiver
 
-LEAST_SURVEY: Final = 0.002  # m
 SHORTEST_LATENCY_S: Final = 0.0
-ROLL_ZERO_SD_DEG: Final = math.degrees(0.01)  # of a roll zero that the file does not give
+
+
+@dataclass(frozen=True, slots=True)
+class AdjustmentTuning:
+    """What a machine file is taken to know."""
+
+    least_survey: float = tuned(0.002, "m", "least sd of a survey, however well the drive tells it")
+    roll_zero_sd: float = tuned(math.degrees(0.01), "°", "of a roll zero that the file does not give")
+
+
+ADJUSTMENT: Final = AdjustmentTuning()
 
 
 class Amount(NamedTuple):
@@ -128,7 +139,7 @@ def roll_zero(r: Receiver, amount: Amount) -> dict[str, Any]:
     """One receiver, rad. A file that gives none keeps none where none is found."""
     if r.roll_zero is None and amount.by == 0.0:
         return {}
-    stated = r.roll_zero or Quantity(value=0.0, sd=ROLL_ZERO_SD_DEG)
+    stated = r.roll_zero or Quantity(value=0.0, sd=ADJUSTMENT.roll_zero_sd)
     value = stated.value + math.degrees(amount.by)
     return {"roll_zero": Quantity(value=value, sd=_sd(stated.sd, amount, math.degrees))}
 
@@ -157,7 +168,7 @@ def pair_right(body: str) -> Change:
     def of(r: Receiver, amount: Amount) -> dict[str, Any]:
         if r.mount.body != body:
             return {}
-        sd = r.survey_sd if amount.sd is None else max(_sd(r.survey_sd, amount), LEAST_SURVEY)
+        sd = r.survey_sd if amount.sd is None else max(_sd(r.survey_sd, amount), ADJUSTMENT.least_survey)
         return {"position": _moved(r, 0.0, amount.by), "survey_sd": sd}
 
     return lambda machine, amount: _with(machine, lambda r: of(r, amount))

@@ -36,8 +36,6 @@ from tilth.estimator.rig.geometry import (
 
 Array = NDArray[np.float64]
 
-UNDER_WAY: Final = 1.0  # m/s: a rig at this speed moves every sensor's reading
-CRUISE: Final = 1.5  # m/s: slower, noise hides where a body goes, and what is late moves nothing far
 
 PAIR_NUMBERS: Final = (
     "front_forward", "front_right", "rear_forward", "rear_right", "front_latency", "rear_latency", "hitch",

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from tilth.estimator.pose.aligner import FIX_NS, LOST_NS
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -63,7 +63,7 @@ def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
     """Keeps the time and a fault in `device`: the next call counts from here."""
     state = _state(device, t_ns)
     status = pb.ReceiverStatus(mount=mount, state=state, source=device.source)
-    if device.fix is not None and t_ns - device.fix_ns < FIX_NS:
+    if device.fix is not None and t_ns - device.fix_ns < ALIGNMENT.fix_ns:
         status.fix = device.fix.value
     if device.data_ns:
         status.age_s = (t_ns - device.data_ns) * 1e-9
@@ -80,6 +80,6 @@ def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
 def _state(device: _Device, t_ns: int) -> DeviceState:
     if device.any_ns == 0:
         return DeviceState.WAITING
-    if device.data_ns and t_ns - device.data_ns < LOST_NS:
+    if device.data_ns and t_ns - device.data_ns < ALIGNMENT.lost_ns:
         return DeviceState.ALIVE
-    return DeviceState.NO_DATA if t_ns - device.any_ns < LOST_NS else DeviceState.LOST
+    return DeviceState.NO_DATA if t_ns - device.any_ns < ALIGNMENT.lost_ns else DeviceState.LOST

@@ -25,7 +25,7 @@ from tilth.client.calibration.shown import (
 )
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.priors import SOUGHT
-from tilth.estimator.calibration.stage_words import PARK_S
+from tilth.estimator.calibration.stage_words import STAGE
 from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.schemas.invocation import started_as
 
@@ -119,7 +119,7 @@ def test_who_sends_is_said_once_the_rig_has_been_parked() -> None:
     for measurement in made:
         stages.take(fold, measurement)
         if (now := senders.lines(fold)) and now != said:
-            assert not said and fold.tally.parked * stages.TICK_S == PARK_S
+            assert not said and fold.tally.parked * stages.TICK_S == STAGE.park_s
             said = now
     assert len(said) == 4 and said[0].startswith("tractor front: ")
     assert all("5.0 positions a second, jitter " in one and "mm at standstill, " in one for one in said)

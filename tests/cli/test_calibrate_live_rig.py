@@ -16,7 +16,7 @@ from loopback import PATIENCE_S, free_port
 
 from tilth.client.link import ENDPOINT, open_session
 from tilth.deploy import keys
-from tilth.estimator.calibration.stage_words import PARK_S
+from tilth.estimator.calibration.stage_words import STAGE
 from tilth.logger.clock import Clock
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -136,4 +136,4 @@ def _restarted(rig: FieldRig, page: Page) -> None:
 
 
 def _parked_s(state: pb.CalibrationState) -> float:
-    return state.stages[0].share * PARK_S
+    return state.stages[0].share * STAGE.park_s

@@ -315,7 +315,7 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     assert ours.decided == AWAITED and job is fitter.jobs[pem.METHOD]
     ours.closed = job.record  # the next window
     assert pem.request_fit(ours, job.asked_ns + 40 * SECOND) is None and ours.closed is not None
-    later = job.asked_ns + pem.LATENCY_NS + GIVE_UP_NS
+    later = job.asked_ns + pem.PEM.latency_ns + GIVE_UP_NS
     assert fold.decided(later) == []
     (decided_fit,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
     assert (decided_fit.adopted, decided_fit.awaited, decided_fit.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
@@ -363,7 +363,7 @@ def test_the_outcome_stands_right_after_the_frame_at_which_it_was_decided(in_tim
     outcome = FitOutcome.FromString(logged_fit.data)
     assert (
         before[0].t_ns
-        < outcome.asked_ns + pem.LATENCY_NS
+        < outcome.asked_ns + pem.PEM.latency_ns
         <= before[1].t_ns
         == logged_fit.t_ns
         == outcome.t_ns

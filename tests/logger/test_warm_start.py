@@ -22,7 +22,7 @@ from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import WHEEL
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.warm_start import DOUBLES_S
+from tilth.estimator.warm_start import WARM_START
 from tilth.logger import warm_start_file
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
@@ -117,7 +117,7 @@ def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
     retained = save_learned(taught(), NOW)
     six = sds(taught())[unknowns.SIX]
     aged = []
-    for seconds in (0.0, DOUBLES_S, 2.0 * DOUBLES_S, 100.0 * DOUBLES_S):
+    for seconds in (0.0, WARM_START.doubles_s, 2.0 * WARM_START.doubles_s, 100.0 * WARM_START.doubles_s):
         state = fold.initial(MACHINE)
         resume(state, retained, seconds, NOW)
         aged.append(sds(state)[unknowns.SIX])
@@ -134,7 +134,7 @@ def test_a_scalar_fades_by_the_formula() -> None:
     ours = state.estimators[pem.METHOD]
     ours.covariance = np.diag((0.1 * sds(fold.initial(MACHINE))) ** 2)
     retained, after = save_learned(state, NOW), fold.initial(MACHINE)
-    resume(after, retained, DOUBLES_S, NOW)
+    resume(after, retained, WARM_START.doubles_s, NOW)
     prior = ours.prior_sd[0]
     assert sds(after)[0] == pytest.approx(prior / np.sqrt(0.25 * 100.0 + 0.75))
 

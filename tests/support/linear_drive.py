@@ -68,7 +68,7 @@ def moving(seed: int, setup: RigSetup, point: Array, wheel: Array) -> Array:
 
 def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     """A drive of the linear model at LINEAR with its own disturbances and white sensors."""
-    count = round((advice.SECONDS + 1.0) / DT) + 1
+    count = round((advice.ADVICE.seconds + 1.0) / DT) + 1
     time: Array = np.arange(count, dtype=np.float64) * DT
     setup, point = rig_setup(machine, linear=True), LINEAR
     ticks = np.zeros((count, 8))
@@ -78,7 +78,7 @@ def simulated(seed: int, machine: Machine, candidate: Candidate) -> Record:
     ticks[:, 1] = SPEED
     x, rng = moving(seed, setup, point, ticks[:, 0]), np.random.default_rng(5000 + seed)
     ticks[:, 2:4] = x[:, X_PSI : X_PSI + 2]
-    rows = advice.planned_rows(machine, count, (advice.HERTZ,) * 4)
+    rows = advice.planned_rows(machine, count, (advice.ADVICE.receiver_rate,) * 4)
     unused = np.zeros(N_STATES + len(point))
     observe, predict = observation.interpreted(), predict_measurement.interpreted()
     for row in rows:

@@ -7,7 +7,7 @@ from circle import START_NS, demo_machine
 
 from tilth.estimator.diagnosis import wheel_speed
 from tilth.estimator.diagnosis.wheel_speed import Instant, WheelSpeedState
-from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.machine import Machine, Quantity
 
@@ -70,7 +70,7 @@ class SlippingDrive:
         )
 
     def _pose(self, speed: float, yaw_rate: float, slip: float) -> list[Diagnosis]:
-        self.t_ns += POSE_NS
+        self.t_ns += ALIGNMENT.pose_ns
         ground = speed + self._rng.normal(0.0, 0.035)
         wheels = self.factor * speed / (1.0 - slip) + self._rng.normal(0.0, 0.01)
         found = wheel_speed.take(self.state, self.machine, Instant(self.t_ns, ground, wheels, yaw_rate))

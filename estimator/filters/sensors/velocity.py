@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.sensors.observation import Observation
+from tilth.estimator.filters.sensors.observation import Observation, SensorTuning
 from tilth.estimator.filters.unknowns import AT_S_VELOCITY
 from tilth.estimator.models.generated.observation_kernels import velocity_i, velocity_t
 
 Array = NDArray[np.float64]
 
 NOISE: Final = AT_S_VELOCITY  # logarithm of the factor on the stated sd
-GATE: Final = 5.0  # sds of the innovation; a larger one is an outlier
+SENSOR: Final = SensorTuning(gate=5.0)
 
 
 @inner_kernel

@@ -5,7 +5,7 @@ import pytest
 from kinematic_drive import FILE, MACHINE
 
 from tilth.analysis.calibration.machine_text import difference, from_to, rewritten, unfilled
-from tilth.estimator.calibration.changes import KINGPIN_DISTANCE_M, Changes, applied, linkage_of
+from tilth.estimator.calibration.changes import CHANGES, Changes, applied, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.priors import SOUGHT
 from tilth.replay.wheel_by_way import WheelWord, reading_as
@@ -125,4 +125,4 @@ def test_a_kingpin_and_a_curvature_are_written() -> None:
     made = rewritten(TEXT, MACHINE, applied(MACHINE, Changes(linkage=linkage)), SAME, "2026-05-04")
     again = parse_machine(made)
     assert again.wheel_angle.kingpin == "left" and again.wheel_angle.curve.value == pytest.approx(0.05)
-    assert again.tractor.kingpin_distance == KINGPIN_DISTANCE_M
+    assert again.tractor.kingpin_distance == CHANGES.kingpin_distance

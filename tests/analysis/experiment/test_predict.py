@@ -36,7 +36,7 @@ def test_more_runs_tell_more_but_no_model_is_better_than_it_is() -> None:
     for count in (1, 2, 4):
         after = sds(KNOWN, [told(1)] * count)
         assert np.all(after < before) and worst_of(KNOWN, after) < worst
-        assert np.all(after > fit_covariance.MODEL_SD)
+        assert np.all(after > fit_covariance.FIT_COVARIANCE.model_sd)
         before, worst = after, worst_of(KNOWN, after)
 
 

@@ -8,7 +8,7 @@ from told_segments import LEARNED, MACHINE, MEAN, SD, around, drawn, masses, roo
 
 from tilth.analysis.fit.agreement import Agreement, agree
 from tilth.analysis.fit.joint import join, linearise
-from tilth.estimator.filters.drift import DRIFT_LENGTH_M
+from tilth.estimator.filters.drift import DRIFT
 from tilth.estimator.filters.unknowns import SIX
 
 
@@ -63,7 +63,7 @@ def test_soil_that_is_far_away_tells_less() -> None:
     rng = np.random.default_rng(4)
     truth = drawn(rng)
     segments = [told(truth, root_of(rng, 60, 10.0), rng) for _ in range(2)]
-    near, far = (join(MACHINE, around(segments, metres)) for metres in (10.0, 20 * DRIFT_LENGTH_M))
+    near, far = (join(MACHINE, around(segments, metres)) for metres in (10.0, 20 * DRIFT.length_m))
     soil_near, soil_far = (np.diag(joint.covariance)[:6] - np.diag(masses())[:6] for joint in (near, far))
     assert np.all(soil_far > 1.2 * soil_near)
     machine = np.diag(far.covariance)[LEARNED[6:]]

@@ -41,7 +41,7 @@ def test_where_the_better_of_two_messages_falls_silent_the_other_counts(heard: l
             drives.take(found, replace(position, pgn=129025))
         drives.take(found, replace(position, pgn=129029))
     times = np.array([row[0] for row in found.positions[0]])
-    assert np.max(np.diff(times)) < drives.SILENT_S + 0.5 and np.min(np.diff(times)) > 0.0
+    assert np.max(np.diff(times)) < drives.DRIVE.silent_s + 0.5 and np.min(np.diff(times)) > 0.0
 
 
 def _look(bad: Changes, made: list[Measurement]) -> tuple[Machine, list[finding.RigFault]]:
@@ -105,7 +105,7 @@ def test_how_late_receivers_are_apart_is_told_by_two_speeds(plan: Plan, told: bo
     found, sds = initial_guess.latency_differences(drive, view)
     between = float(initial_guess.hitch(view).sds[4])
     most = float(max(*sds, between))
-    assert (most < initial_guess.IDENTIFIED_DELAY_SD) == told
+    assert (most < initial_guess.INITIAL_GUESS.identified_delay_sd) == told
     apart = changes.delay - changes.delay.mean()
     expected = delay.mean() - delay if told else np.zeros(4)
     assert apart == pytest.approx(expected, abs=0.004)

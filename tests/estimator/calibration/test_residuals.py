@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tilth.estimator.calibration.residuals import (
-    FEWEST,
     KINDS,
+    RESIDUALS,
     MeasuredKind,
     residuals,
     sentences,
@@ -16,7 +16,9 @@ from tilth.estimator.calibration.residuals import (
 from tilth.estimator.filters.unknowns import AT, NAMES
 
 
-def left(kind: MeasuredKind, level: float, rms: float, count: int = 4 * FEWEST) -> tuple[float, bool, str]:
+def left(
+    kind: MeasuredKind, level: float, rms: float, count: int = 4 * RESIDUALS.fewest
+) -> tuple[float, bool, str]:
     """level: noise that the fit found, over the file's. rms: of innovations over that."""
     rng, point = np.random.default_rng(2), np.zeros(len(NAMES))
     point[AT[kind.level]] = math.log(level)
@@ -41,4 +43,6 @@ def test_noise_that_the_fit_took_up_counts_too(
 
 
 def test_of_few_measurements_nothing_is_said() -> None:
-    assert residuals({kind.kinds[0]: (1e4, FEWEST - 1) for kind in KINDS}, np.zeros(len(NAMES))) == ()
+    assert (
+        residuals({kind.kinds[0]: (1e4, RESIDUALS.fewest - 1) for kind in KINDS}, np.zeros(len(NAMES))) == ()
+    )

@@ -13,7 +13,8 @@ from kinematic_drive import MACHINE, Plan, measurements
 
 from tilth.estimator.calibration import stage_words, stages
 from tilth.estimator.calibration.changes import Changes, heard_after
-from tilth.estimator.calibration.stages import TICK_NS, StageFold, StageTally
+from tilth.estimator.calibration.stages import StageFold, StageTally
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, WheelAngle
 
 pytestmark = pytest.mark.long
@@ -37,7 +38,7 @@ def parts() -> dict[str, list[Measurement]]:
     found = {}
     for name, plan in BY_NAME.items():
         made = measurements(plan)
-        found[name] = [_later(one, -(made[0].rx_ns // TICK_NS) * TICK_NS) for one in made]
+        found[name] = [_later(one, -(made[0].rx_ns // ALIGNMENT.pose_ns) * ALIGNMENT.pose_ns) for one in made]
     return found
 
 
@@ -49,8 +50,8 @@ def _one_after_the_other(parts: Sequence[Sequence[Measurement]]) -> list[Measure
     found: list[Measurement] = []
     begin = 1000
     for part in parts:
-        found += [_later(one, begin * TICK_NS) for one in part]
-        begin = found[-1].rx_ns // TICK_NS + APART_TICKS
+        found += [_later(one, begin * ALIGNMENT.pose_ns) for one in part]
+        begin = found[-1].rx_ns // ALIGNMENT.pose_ns + APART_TICKS
     return found
 
 
@@ -106,7 +107,7 @@ def test_an_interruption_costs_only_what_was_under_way(
     """Two logs with hours between them: what was driven counts, but for the seconds that a course needs."""
     made = parts["straight"]
     cut = next(k for k, one in enumerate(made) if one.rx_ns > cut_s * 1e9)
-    hours = 3 * 3600 * 5 * TICK_NS
+    hours = 3 * 3600 * 5 * ALIGNMENT.pose_ns
     interrupted = _driven([*made[:cut], *(_later(one, hours) for one in made[cut:])]).tally
     whole = _driven(made).tally
     assert whole.moving - 10 <= interrupted.moving <= whole.moving
@@ -144,7 +145,7 @@ def test_what_is_missing_is_asked_for_step_by_step(parts: dict[str, list[Measure
     assert stage_words.happening(state) == "This counts for: Straight there and back."
     stages.take_all(state, [one for one in made if 30e9 <= one.rx_ns < 63e9])
     assert said(state).startswith("Turn round and drive back on the same line, 150 m more")
-    circles = [_later(one, 2000 * TICK_NS) for one in parts["circles"] if one.rx_ns < 30e9]
+    circles = [_later(one, 2000 * ALIGNMENT.pose_ns) for one in parts["circles"] if one.rx_ns < 30e9]
     stages.take_all(state, circles)
     assert said(state) == "Hold the wheels a little (about 10°) to the left and drive one round, at 5 km/h."
 

@@ -117,7 +117,9 @@ def made(one: Steered) -> tuple[SteeringResponse | str, float]:
     t, u = orders_at(one, np.random.default_rng(one.seed))
     truth = wheels(one, t, u)
     since = np.arange(len(truth) - 1) * FINE % (one.on_s + 3.0)
-    used = (since > reasons.MOST_LATE_S) & (since < one.on_s)  # before, what was asked for is not known
+    used = (since > reasons.STEERING_RESPONSE.most_dead_time_s) & (
+        since < one.on_s
+    )  # before, what was asked for is not known
     fastest = math.radians(abs(one.gain) * float(np.max(np.abs(np.diff(truth)[used]), initial=0.0)) / FINE)
     return told_by(list(frames_of_drive(one, truth, t, u))), fastest
 

@@ -13,7 +13,7 @@ from estimation_study import STEPS
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import consistency, findings, open_numbers
-from tilth.estimator.diagnosis.consistency import CONTRADICTION, PARAMETERS, Consistency
+from tilth.estimator.diagnosis.consistency import CONSISTENCY, CONTRADICTION, Consistency
 from tilth.estimator.diagnosis.open_numbers import OpenEvidence
 from tilth.estimator.methods import open_tracker
 from tilth.estimator.models.parameters import rig_of, static_loads
@@ -267,11 +267,11 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
     """Also of a pair, whose key the open tracker has as well, which needs longer."""
     state, out = run(demo_machine(), frames()[:4000])
     pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
-    for _ in range(findings.PARAMETERS.parked_poses):
+    for _ in range(findings.FINDINGS.parked_poses):
         state.aligner.long_term.parked[kind].add(0.5)
     evidence = open_tracker.observe(state.open, state.machine, None)
     checks, told = state.diagnosis.consistency, list[str]()
-    for _ in range(PARAMETERS.least_poses):
+    for _ in range(CONSISTENCY.least_poses):
         assert not told
         found = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
         told += [notice_sentence(one) for _, one in found.events]
@@ -297,9 +297,11 @@ def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
     checks.confirmed = checks.rates_known = True
     for _ in range(200):  # poses, 40 s
         poses += 1
-        evidence = OpenEvidence(far if poses > 20 else near, near, 100, 0.0, uneven > open_tracker.ROUGH)
+        evidence = OpenEvidence(
+            far if poses > 20 else near, near, 100, 0.0, uneven > open_tracker.OPEN_TRACKER.rough
+        )
         done = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
         accused += [kind for kind, _ in done.events]
         poses = 0 if done.reset_open else poses
-    assert accused == ([CONTRADICTION] if uneven < open_tracker.ROUGH else [])
+    assert accused == ([CONTRADICTION] if uneven < open_tracker.OPEN_TRACKER.rough else [])
     assert not checks.confirmed

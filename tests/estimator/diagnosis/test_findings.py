@@ -44,7 +44,7 @@ def test_a_pair_of_another_length_is_found_where_the_rig_stands(
     forward, right, up = one.position
     machine = otherwise(mount, position=(forward, right, up + higher_m), survey_sd=survey_sd)
     state = aligner.initial(machine)
-    for _ in range(findings.PARAMETERS.parked_poses):
+    for _ in range(findings.FINDINGS.parked_poses):
         state.long_term.parked[body].add(off_m)
     told = findings.parked_errors(machine, state)
     assert [one.key for one in told] == ([PAIRS[body]] if found else [])

@@ -14,7 +14,7 @@ from tilth.estimator.diagnosis.accepted import acceptance, corrected, line_of
 from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses
 from tilth.estimator.diagnosis.information import AT, KINDS, N, lengths, rows
 from tilth.estimator.diagnosis.sample import BodySample, Sample, sample
-from tilth.estimator.diagnosis.watch import BLOCK, WatchState
+from tilth.estimator.diagnosis.watch import WATCH, WatchState
 from tilth.estimator.pose import aligner
 from tilth.estimator.record.record import KIND, NORTH, PLACE, VELOCITY
 from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESES, HYPOTHESIS, PAIRS, WHEEL
@@ -56,13 +56,13 @@ class Drive:
 
     def drive(self, blocks: int) -> list[Diagnosis]:
         found = []
-        for _ in range(blocks * BLOCK):
+        for _ in range(blocks * WATCH.block):
             self._poses += 1
             kinds, design, _ = rows(RIG, self._now())
             noise = self._rng.normal(0.0, RIG.sds[kinds])
             measured = design @ self.constants + noise
             watch._add(self.state, MACHINE, (kinds, design, measured), START_NS + self._poses * 200_000_000)
-            if self.state.samples == BLOCK:
+            if self.state.samples == WATCH.block:
                 watch._end_block(self.state, MACHINE)
                 found += watch._look(self.state, MACHINE)
         return found
@@ -94,7 +94,7 @@ def test_what_is_moved_is_named_with_how_far(name: str) -> None:
         if one.of[0] == name:
             off = np.array(one.amounts) - np.array(AMOUNTS[name])
             assert np.all(np.abs(off) < 4.0 * np.array(one.sds))
-    assert abs(first.since_ns - START_NS - BEFORE * BLOCK * 200_000_000) < 3 * BLOCK * 200_000_000
+    assert abs(first.since_ns - START_NS - BEFORE * WATCH.block * 200_000_000) < 3 * WATCH.block * 200_000_000
 
 
 @pytest.mark.parametrize("name", LATENCIES)
@@ -113,7 +113,7 @@ def test_what_may_as_well_be_a_receiver_is_not_taken_for_a_latency(other: float,
     drive.drive(BEFORE)
     late = Explanation(LATENCIES[0], 100.0, np.array([0.03]), 1e-6 * np.eye(1))
     moved = Explanation("tractor_front", other, np.array([0.1, 0.0]), 1e-4 * np.eye(2))
-    for _ in range(watch.CLEAR):
+    for _ in range(watch.WATCH.clear):
         assert watch._suspect(drive.state, MACHINE, 3, [late, moved]) == []
     assert len(drive.state.blocks) == (3 if absorbed else BEFORE)
 

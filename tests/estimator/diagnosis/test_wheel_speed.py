@@ -11,15 +11,9 @@ from slipping_drive import FACTOR, MACHINE, SlippingDrive, with_factor
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import watch, wheel_speed
 from tilth.estimator.diagnosis.accepted import acceptance, corrected, line_of
-from tilth.estimator.diagnosis.wheel_speed import (
-    AGREE,
-    AGREEING,
-    STAND_NS,
-    Instant,
-    floor_of,
-)
+from tilth.estimator.diagnosis.wheel_speed import TYRE_WATCH, Instant, floor_of
 from tilth.estimator.pose import aligner
-from tilth.estimator.pose.aligner import POSE_NS
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.diagnosis import DiagnosisState
@@ -120,10 +114,10 @@ def test_a_short_stop_begins_nothing_anew(seed: int) -> None:
     drive = SlippingDrive(seed, row=200.0)
     drive.drive(15.0)
     since_ns = drive.state.since_ns
-    drive.stand(STAND_NS * 1e-9 - 5.0)
+    drive.stand(TYRE_WATCH.stand_ns * 1e-9 - 5.0)
     drive.drive(1.0)
     assert drive.state.since_ns == since_ns
-    drive.stand(STAND_NS * 1e-9 + 5.0)
+    drive.stand(TYRE_WATCH.stand_ns * 1e-9 + 5.0)
     drive.drive(1.0)
     assert drive.state.since_ns > since_ns
 
@@ -134,7 +128,9 @@ def test_without_one_of_the_speeds_it_learns_nothing(missing: str) -> None:
     take = wheel_speed.take
     for k in range(2000):
         speeds = {"ground": 3.0, "wheels": 3.1, "yaw_rate": 0.0} | {missing: None}
-        now = Instant(START_NS + k * POSE_NS, speeds["ground"], speeds["wheels"], speeds["yaw_rate"])
+        now = Instant(
+            START_NS + k * ALIGNMENT.pose_ns, speeds["ground"], speeds["wheels"], speeds["yaw_rate"]
+        )
         assert take(drive.state, MACHINE, now) is None
     assert drive.state.averages == [] and drive.state.lows == []
 
@@ -145,8 +141,8 @@ def test_a_floor_needs_stretches_that_agree() -> None:
         lows = rng.uniform(0.0, 0.05, 5).tolist()
         floor = floor_of(lows)
         ordered = sorted(lows)
-        spans = [ordered[k + AGREEING - 1] - ordered[k] for k in range(2)]
-        assert (floor is None) == (min(spans) >= AGREE)
+        spans = [ordered[k + TYRE_WATCH.agreeing - 1] - ordered[k] for k in range(2)]
+        assert (floor is None) == (min(spans) >= TYRE_WATCH.agree)
         assert floor is None or min(lows) <= floor <= max(lows)
     assert floor_of([0.0, 0.001, 0.002]) is None
     assert floor_of([math.inf, 0.0, 0.001, 0.002, 0.003]) == pytest.approx(0.0015)

@@ -25,8 +25,8 @@ def test_where_the_open_loop_runs_away_little_is_told_but_a_number(monkeypatch: 
     record = linear_plant.record_of(linear_plant.plant(rig_of(MACHINE), 3, "random", 15.0, 4.0))
     mean, sd = unknowns.prior(MACHINE)
     fits = []
-    for limit in (likelihood.RUN_AWAY, 1e-3):
-        monkeypatch.setattr(likelihood, "RUN_AWAY", limit)
+    for limit in (likelihood.LIKELIHOOD.run_away, 1e-3):
+        monkeypatch.setattr(likelihood, "LIKELIHOOD", replace(likelihood.LIKELIHOOD, run_away=limit))
         fits.append(maximise_posterior(record, rig_setup(MACHINE), mean, np.diag(sd**2)))
     steered, away = (np.sqrt(np.diag(found.covariance)) for found in fits)
     assert np.all(np.isfinite(away)) and np.all(away[SIX] > 1.3 * steered[SIX])
@@ -43,7 +43,7 @@ def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
         fit_covariance.model_sd_of(of, point)
         for of, point in ((record, mean), (tight, mean), (record, rough))
     )
-    assert np.all(far > plain) and np.all(far >= fit_covariance.TIGHT_SD)
+    assert np.all(far > plain) and np.all(far >= fit_covariance.FIT_COVARIANCE.tight_sd)
     assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])
 
 
@@ -55,7 +55,7 @@ def test_steering_that_is_held_leaves_more_room(seconds: int) -> None:
     whole_s = np.arange(len(ticks)) // round(1.0 / DT)
     ticks[:, WHEEL_ANGLE] = math.radians(4.0) * np.where(whole_s // seconds % 2 == 0, 1.0, -1.0)
     there = replace(record, ticks=ticks)
-    share = 1.0 if seconds > fit_covariance.HELD_S else 0.0
+    share = 1.0 if seconds > fit_covariance.FIT_COVARIANCE.held_s else 0.0
     assert fit_covariance.held_share(there) == pytest.approx(share, abs=1e-9)
     ticks[:, WHEEL_ANGLE] = 0.0
     assert fit_covariance.held_share(there) == 0.0
@@ -74,8 +74,10 @@ def test_the_room_for_errors_of_a_short_length_is_a_distance(tight: bool) -> Non
     assert np.all(np.ptp(rooms[:, :3], axis=0) == 0.0)
     assert np.all(np.diff(rooms[:, 3:], axis=0) <= 0.0)
     meters = rooms[:, 3:] * lengths[:, None]
-    assert np.all(meters[0] < 1.05 * fit_covariance.LENGTH_SD) and np.all(meters >= fit_covariance.LENGTH_SD)
-    least = fit_covariance.TIGHT_SD[3:] if tight else fit_covariance.MODEL_SD
+    assert np.all(meters[0] < 1.05 * fit_covariance.FIT_COVARIANCE.length_sd) and np.all(
+        meters >= fit_covariance.FIT_COVARIANCE.length_sd
+    )
+    least = fit_covariance.FIT_COVARIANCE.tight_sd[3:] if tight else fit_covariance.FIT_COVARIANCE.model_sd
     assert np.all(rooms[:, 3:] >= least) and np.all(rooms[3, 3:] < 1.3 * least)
 
 

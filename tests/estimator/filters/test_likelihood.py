@@ -85,5 +85,5 @@ def test_what_is_left_out_and_what_only_settles_the_state_is_nothing() -> None:
     without = search_of(one.record, SETUP, LINEAR, np.diag(SD**2))
     without.used = used
     e, slopes = whitened_by_steering(without, LINEAR, PLACES)
-    none = (used == 0.0) | (rows[:, TICK] < likelihood.SETTLING_TICKS)
+    none = (used == 0.0) | (rows[:, TICK] < likelihood.LIKELIHOOD.settling_ticks)
     assert not e[none].any() and not slopes[none].any() and e[~none].all()

@@ -25,9 +25,11 @@ def test_the_statistic_tells_a_change_from_chance(change: float) -> None:
             covariance = covariance - np.outer(gain, h @ covariance)
             likeliest = soil_change.likeliest_change(checkpoints, mean, covariance)
             found = max(found, likeliest.ratio if likeliest and k >= 100 else 0.0)
-            checkpoints = [*checkpoints, Checkpoint(mean, covariance)][-soil_change.MOST_CHECKPOINTS :]
+            checkpoints = [*checkpoints, Checkpoint(mean, covariance)][
+                -soil_change.SOIL_CHANGE.most_checkpoints :
+            ]
         largest.append(found)
-    assert np.mean(np.array(largest) > soil_change.CHANGED) == (1.0 if change else 0.0)
+    assert np.mean(np.array(largest) > soil_change.SOIL_CHANGE.changed) == (1.0 if change else 0.0)
 
 
 def test_what_has_moved_by_more_than_it_has_learned_is_no_change_of_soil() -> None:
@@ -38,5 +40,5 @@ def test_what_has_moved_by_more_than_it_has_learned_is_no_change_of_soil() -> No
     checkpoints = [Checkpoint(np.zeros(6), before)]
     change = soil_change.likeliest_change(checkpoints, np.array([-0.1, *[0.0] * 5]), after)
     assert change is not None
-    assert change.ratio < soil_change.CHANGED
-    assert np.abs(change.logs).max() == soil_change.MOST_CHANGE
+    assert change.ratio < soil_change.SOIL_CHANGE.changed
+    assert np.abs(change.logs).max() == soil_change.SOIL_CHANGE.most_change

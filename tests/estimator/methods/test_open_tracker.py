@@ -7,7 +7,7 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator.diagnosis import open_numbers
-from tilth.estimator.diagnosis.consistency import PARAMETERS
+from tilth.estimator.diagnosis.consistency import CONSISTENCY
 from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import open_tracker
 
@@ -35,7 +35,7 @@ def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
     for off, doubted in ((-0.9, False), (math.log(0.2), True)):
         state.mean[m_i] = state.prior_mean[m_i] + off
         now = open_tracker.misfit(state, machine)
-        assert (now.by_name.max() > PARAMETERS.ends * PARAMETERS.begins) == doubted
+        assert (now.by_name.max() > CONSISTENCY.ends * CONSISTENCY.begins) == doubted
     assert not state.by_steering
 
 

@@ -208,7 +208,7 @@ def test_a_search_does_not_end_where_its_derivatives_promise_more(
     machine = parse_machine(run.machine_text)
     record, (mean, sd) = recorded(machine, frames(run.log)), unknowns.prior(machine)
     found = maximise_posterior(record, rig_setup(machine), mean, np.diag(sd**2))
-    monkeypatch.setattr(scoring, "EMPTY_PROMISE", math.inf)
+    monkeypatch.setattr(scoring, "SEARCH", replace(scoring.SEARCH, empty_promise=math.inf))
     held = maximise_posterior(record, rig_setup(machine), mean, np.diag(sd**2))
     assert (held.cost - found.cost) * found.rows > 20.0
     z = (found.mean[SIX] - np.log([run.described["parameters"][name] for name in PARAMETERS])) / np.sqrt(
@@ -351,7 +351,8 @@ def test_what_the_ground_tells_of_other_tyres_moves_nothing(monkeypatch: pytest.
 
     known = []
     for room, moved_by_ground in ((1e-6, 1.0), (0.3, None), (1e4, 0.0)):
-        monkeypatch.setattr(likelihood, "OTHER_TYRES_SD", np.full(6, room))
+        wider = replace(likelihood.LIKELIHOOD, other_tyres_sd=np.full(6, room))
+        monkeypatch.setattr(likelihood, "LIKELIHOOD", wider)
         left, information = likelihood.apart_from_ground(search, at)
         known.append(np.linalg.inv(information)[SIX, SIX])
         by_ground, by_steering = (

@@ -134,13 +134,13 @@ def test_the_first_look_is_where_to_begin_and_tells_no_more() -> None:
     for pose, segment in given:
         before, mean = state.window_s, state.mean[SIX].copy()
         tracker.take(state, MACHINE, pose, segment)
-        if before < tracker.INITIAL_PHASE_S <= state.window_s:
+        if before < tracker.TRACKER.initial_phase_s <= state.window_s:
             widened += 1
             six, others = state.covariance[SIX, SIX], np.delete(state.covariance[SIX], range(6), axis=1)
-            assert np.all(np.sqrt(np.diag(six)) >= tracker.INITIAL_PHASE_SD)
+            assert np.all(np.sqrt(np.diag(six)) >= tracker.TRACKER.initial_phase_sd)
             assert not others.any() and not (six - np.diag(np.diag(six))).any()
             assert np.all(np.abs(state.mean[SIX] - mean) < 0.2)
-    assert widened == 1 and np.all(np.sqrt(np.diag(state.covariance)[SIX]) < tracker.INITIAL_PHASE_SD)
+    assert widened == 1 and np.all(np.sqrt(np.diag(state.covariance)[SIX]) < tracker.TRACKER.initial_phase_sd)
 
 
 @pytest.mark.parametrize(("kind", "place"), KINDS)
@@ -227,7 +227,7 @@ def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) 
         errors.append(state.mean[SIX] - truth)
         scores.append(errors[-1] / np.sqrt(np.diag(tracker.reported_covariance(state))))
         with monkeypatch.context() as patch:
-            patch.setattr(tracker, "FIRST_LOOK_S", math.inf)
+            patch.setattr(tracker, "TRACKER", replace(tracker.TRACKER, initial_phase_s=math.inf))
             own.append(learned(given).mean[SIX] - truth)
     assert np.mean(np.abs(scores) < 1.96) > 0.9  # of 18
     assert np.mean(errors, axis=0)[:3].mean() > -0.3
@@ -299,14 +299,14 @@ def straight(seconds: float, seed: int) -> list[Segment]:
     ("uneven", "least", "most"), [(0.003, 1.0, 1.05), (0.006, 1.4, 1.6), (0.01, 5.0, 5.0)]
 )
 def test_rough_ground_asks_for_a_larger_change_of_soil(uneven: float, least: float, most: float) -> None:
-    assert least <= soil_change.limit(uneven) / soil_change.CHANGED <= most
+    assert least <= soil_change.limit(uneven) / soil_change.SOIL_CHANGE.changed <= most
 
 
 def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -> None:
     state = tracker.initial(MACHINE)
     state.disturbance[3] = 0.003**2
     before = np.diag(tracker.reported_covariance(state))
-    state.disturbance[3] = unknowns.ROUGH**2
+    state.disturbance[3] = unknowns.PRIOR.rough**2
     wider = np.diag(tracker.reported_covariance(state)) - before
     assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
     assert wider[3:] == pytest.approx(0.0, abs=1e-15)
@@ -318,7 +318,10 @@ def test_what_tight_turns_told_stays_as_uncertain_in_the_next_run() -> None:
     before.window_s, before.tight_s = 60.0, 20.0
     into_tracker(after, of_tracker(before))
     for state in (before, after):
-        assert np.all(np.sqrt(np.diag(tracker.reported_covariance(state))) >= fit_covariance.TRACKED_TIGHT_SD)
+        assert np.all(
+            np.sqrt(np.diag(tracker.reported_covariance(state)))
+            >= fit_covariance.FIT_COVARIANCE.tracked_tight_sd
+        )
 
 
 def test_what_moves_further_than_the_prior_lets_expect_is_less_sure() -> None:
@@ -439,7 +442,7 @@ def test_after_a_gap_nothing_jumps() -> None:
         largest = max(largest, float(np.max(np.abs(state.mean[SIX] - mean) / sd)))
         mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
     assert state.refused[Code.NO_RTK] == 20
-    assert state.refused[Code.FILTER_SETTLING] == 2 * tracker.SETTLES
+    assert state.refused[Code.FILTER_SETTLING] == 2 * tracker.TRACKER.settles
     assert largest < 1.0
 
 
@@ -468,7 +471,7 @@ def test_a_number_comes_goes_stale_and_is_never_given_without_support() -> None:
 
 def test_wheels_are_held_until_they_have_moved_away_from_where_that_began() -> None:
     state = tracker.initial(MACHINE)
-    small, far = 0.9 * tracker.HELD_WITHIN, 1.1 * tracker.HELD_WITHIN
+    small, far = 0.9 * tracker.TRACKER.held_within, 1.1 * tracker.TRACKER.held_within
     for wheel, held in ((0.2, 1), (0.2 + small, 2), (0.2 - small, 3), (0.2 + far, 1), (0.2, 1), (0.2, 2)):
         tracker._note_held(state, wheel)
         assert state.held == held

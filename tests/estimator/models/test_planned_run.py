@@ -8,11 +8,11 @@ from numpy.random import default_rng
 from numpy.typing import NDArray
 from paths import ROOT
 
-from tilth.estimator.models.manoeuvres import FADE_S, START_S, multisine, rate_limited
+from tilth.estimator.models.manoeuvres import MANOEUVRE, multisine, rate_limited
 from tilth.estimator.models.parameters import TABLE_5_1
 from tilth.estimator.models.planned_run import (
-    BESIDE_M,
     DT,
+    PLANNED_RUN,
     Scheduled,
     check,
     drives,
@@ -42,10 +42,10 @@ def test_angles_stay_within_the_amplitude_and_no_driver_must_turn_faster_than_he
     plan = plan_of(kind, seconds=15)
     one = Scheduled(1, 1 + seed, plan.run[0])
     angles = wheel_angle(one, plan.limits, default_rng(seed))
-    assert len(angles) == round((START_S + 15) / DT) + 1
+    assert len(angles) == round((MANOEUVRE.start_s + 15) / DT) + 1
     assert np.abs(angles).max() <= math.radians(6) + 1e-12
     assert np.abs(angles).max() > math.radians(2)
-    assert np.all(angles[: round(START_S / DT)] == 0.0)
+    assert np.all(angles[: round(MANOEUVRE.start_s / DT)] == 0.0)
     assert np.abs(np.diff(angles)).max() <= math.radians(plan.limits.wheel_rate_degps) * DT + 1e-12
 
 
@@ -82,13 +82,15 @@ def test_who_plans_prompts_and_simulates_has_the_same_runs() -> None:
 
 def test_a_multisine_has_the_lines_that_were_asked_for_and_a_low_peak() -> None:
     seconds, dt = 20.0, 0.02
-    time: NDArray[np.float64] = np.arange(round((START_S + seconds) / dt) + 1, dtype=np.float64) * dt
+    time: NDArray[np.float64] = (
+        np.arange(round((MANOEUVRE.start_s + seconds) / dt) + 1, dtype=np.float64) * dt
+    )
     waves = multisine(time, 1.0, default_rng(0), 0.1, 0.5)
     assert np.abs(waves).max() == pytest.approx(1.0)
-    steered = waves[time >= START_S + FADE_S]
+    steered = waves[time >= MANOEUVRE.start_s + MANOEUVRE.fade_s]
     assert np.abs(steered).max() / np.sqrt(np.mean(np.square(steered))) < 2.2
-    spectrum = np.abs(np.fft.rfft(waves[time >= START_S][:-1]))
-    frequencies = np.fft.rfftfreq(len(waves[time >= START_S]) - 1, dt)
+    spectrum = np.abs(np.fft.rfft(waves[time >= MANOEUVRE.start_s][:-1]))
+    frequencies = np.fft.rfftfreq(len(waves[time >= MANOEUVRE.start_s]) - 1, dt)
     inside = (frequencies > 0.08) & (frequencies < 0.52)
     assert np.sum(spectrum[inside] ** 2) > 0.9 * np.sum(spectrum**2)
 
@@ -112,7 +114,7 @@ def test_the_way_of_straight_wheels_is_straight_and_a_held_angle_goes_round() ->
 def test_the_room_is_that_to_the_nearest_edge() -> None:
     field = parse_plan(TEXT).field
     along, across = np.array([100.0, 200.0]), np.array([40.0, 30.0])
-    assert room(field, along, across, False) == pytest.approx(30.0 - BESIDE_M)
+    assert room(field, along, across, False) == pytest.approx(30.0 - PLANNED_RUN.beside_m)
     assert room(field, np.array([30.0]), np.array([40.0]), False) == pytest.approx(10.0)
     assert room(field, np.array([10.0]), np.array([40.0]), False) == pytest.approx(-10.0)
     assert room(field, np.array([10.0]), np.array([40.0]), True) == pytest.approx(10.0)

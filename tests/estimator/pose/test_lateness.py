@@ -43,7 +43,7 @@ def test_a_starved_bus_is_seen_and_the_time_before_is_doubted(seconds: float) ->
         0.7 * seconds * 800 < state.late <= seconds * 800 + 3
     )  # a few that the bus could not carry so soon after
     assert state.doubts(begins) and state.doubts(ends) and not state.doubts(begins - 10_000_000)
-    assert not state.doubts(ends + lateness.DOUBT_NS + 10_000_000)
+    assert not state.doubts(ends + lateness.LATENESS.doubt_ns + 10_000_000)
 
 
 @pytest.mark.parametrize("hertz", [10, 20, 50, 100])

@@ -9,6 +9,7 @@ import pytest
 from posed import pose_of
 
 from tilth.estimator.pose import motion_check
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.schemas.flow import (
     Pose,
@@ -31,7 +32,7 @@ def on_a_slope(speed: float = 1.0, gradient: float = 0.013, lean_i: float = 0.05
             roll=0.05 + gradient * 4.0 * r + rng.normal(0.0, 0.01),
         )  # fmt: skip
         implement = replace(tractor, roll=lean_i + rng.normal(0.0, 0.01))
-        yield replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
+        yield replace(pose, t_ns=k * ALIGNMENT.pose_ns, tractor=tractor, implement=implement)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +64,6 @@ def test_a_slope_that_is_turned_round_on_is_no_lean(slope_deg: float) -> None:
         roll = math.radians(slope_deg) * math.sin(psi)
         bodies = (replace(body, heading=psi, roll=roll) for body in (pose.tractor, pose.implement))
         tractor, implement = bodies
-        pose = replace(pose, t_ns=k * motion_check.STEP_NS, tractor=tractor, implement=implement)
+        pose = replace(pose, t_ns=k * ALIGNMENT.pose_ns, tractor=tractor, implement=implement)
         motion_check.observe(state, pose)
         assert not any(one.code is Code.ROLL_FOLLOWS_TURNS for one in motion_check.found(state))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tilth.estimator.pose.screen import KNOWN_RUNS, LASTING, LIMITS, Reading, Screens
+from tilth.estimator.pose.screen import LIMITS, SCREEN, Reading, Screens
 from tilth.schemas.flow import Flag
 
 SD = math.radians(0.1)
@@ -56,7 +56,7 @@ def test_no_honest_wheel_angle_is_ever_left_out(
 @given(
     hertz=st.sampled_from([10.0, 50.0, 100.0]),
     at=st.lists(st.integers(2, 18), min_size=1, max_size=8, unique=True),
-    burst=st.integers(1, LASTING - 1),
+    burst=st.integers(1, SCREEN.lasting - 1),
     size=st.floats(35.0, 60.0),
     sign=st.sampled_from([-1.0, 1.0]),
 )
@@ -123,7 +123,7 @@ def test_spikes_of_a_busy_computer_are_not_the_sensors() -> None:
 
 @pytest.mark.parametrize(("habit", "length", "stands"), [(1, 20, True), (30, 20, False), (30, 80, True)])
 def test_a_run_is_unusual_by_what_the_sensor_did_before(habit: int, length: int, stands: bool) -> None:
-    angles = [0.001 * (k // habit) for k in range(habit * (KNOWN_RUNS + 2))]
+    angles = [0.001 * (k // habit) for k in range(habit * (SCREEN.known_runs + 2))]
     screens, _ = through(readings([*angles, *[1.0e-4] * length], 100.0))
     assert screens.by["who wheel_angle"].stands is stands
 

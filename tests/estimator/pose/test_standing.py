@@ -9,11 +9,11 @@ import pytest
 from circle import demo_machine
 from paths import SHARED
 
+from tilth.estimator.driving import DRIVING
 from tilth.estimator.fold import State, initial, step
 from tilth.estimator.pose import aligner, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.standing import StandingCheck
-from tilth.estimator.rig.residuals import UNDER_WAY
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import BodyPose, Estimate, Event, Flag, Frame, Pose, Status
 from tilth.schemas.notices import Notice
@@ -137,7 +137,7 @@ def feed(
 ) -> tuple[Aligner, list[tuple[str, Notice]]]:  # fmt: skip
     """A rig that turns at rate(t), with readings value(t) of one quantity at 50 Hz."""
     rig, state, heading, events = aligner.initial(MACHINE), StandingCheck(), 0.0, list[tuple[str, Notice]]()
-    rig.moving = u >= UNDER_WAY
+    rig.moving = u >= DRIVING.under_way
     for k in range(round(seconds * 5)):
         t = k / 5
         for j in range(10):

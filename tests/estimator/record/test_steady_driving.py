@@ -12,7 +12,7 @@ from tilth.estimator.filters.steady_outputs import (
 )
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.record.steady_driving import SETTLING, SETTLING_S
+from tilth.estimator.record.steady_driving import STEADY_DRIVING
 
 
 @pytest.mark.parametrize(("degrees", "speed"), [(6.0, 2.0), (-18.0, 2.0), (25.0, 2.2), (32.0, 2.0)])
@@ -23,7 +23,7 @@ def test_a_rig_that_still_folds_is_understood(degrees: float, speed: float) -> N
     driven = nonlinear.inputs_of(3000, delta=math.radians(degrees), speed=speed)
     run = nonlinear.simulate(rig, driven, nonlinear.running(speed), 0.01)
     at = {name: run[:, k] for k, name in enumerate(nonlinear.STATES)}
-    k = round(max(SETTLING * rig.towed_length / speed, SETTLING_S) / 0.01)
+    k = round(max(STEADY_DRIVING.settling * rig.towed_length / speed, STEADY_DRIVING.settling_s) / 0.01)
     articulation = at["psi_t"] - at["psi_i"]
     point = point_of(rolling=0.06, curvature=0.0, parallel=0.0)
     known = [at["u"][k], math.radians(degrees), 0.0, 0.0]

@@ -9,7 +9,7 @@ import pytest
 
 from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.record_builder import TICKS
-from tilth.estimator.record.windows import LEAD, QUIET, WINDOW, close_window, collect
+from tilth.estimator.record.windows import WINDOWS, close_window, collect
 from tilth.schemas.reasons import Code
 
 LEAST = math.radians(1.0)
@@ -63,7 +63,7 @@ def test_a_headland_turn_is_a_window_that_closes_when_it_is_over() -> None:
     state = collected(driving([(60.0, 0.0), (12.0, 18.0), (60.0, 0.0)]))
     assert spans(state) == [(58.0, 75.0)]
     assert state.refused.keys() == {Code.TOO_LITTLE_STEERING}
-    assert state.reason == Code.TOO_LITTLE_STEERING and len(state.window) == LEAD
+    assert state.reason == Code.TOO_LITTLE_STEERING and len(state.window) == WINDOWS.lead
 
 
 def test_steering_without_end_is_cut_into_windows_of_thirty_seconds() -> None:
@@ -135,9 +135,9 @@ def test_a_wheel_zero_that_is_known_is_no_steering() -> None:
     assert spans(state) == [(58.0, 75.0)]
     unknown = collected(driving([(60.0, 2.0), (12.0, 20.0), (60.0, 2.0)]))
     covered = [span for span in spans(unknown) if span[0] <= 66.0 <= span[1]]
-    assert covered and all(end - begin <= WINDOW * 0.2 + 1e-9 for begin, end in spans(unknown))
+    assert covered and all(end - begin <= WINDOWS.longest * 0.2 + 1e-9 for begin, end in spans(unknown))
 
 
 def test_the_quiet_end_is_as_long_as_it_says() -> None:
-    state = collected(driving([(20.0, 0.0), (12.0, 18.0), (QUIET * 0.2, 0.0)]))
+    state = collected(driving([(20.0, 0.0), (12.0, 18.0), (WINDOWS.quiet * 0.2, 0.0)]))
     assert len(state.records) == 1

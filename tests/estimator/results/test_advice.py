@@ -131,7 +131,7 @@ def test_prediction_is_that_of_the_bound_where_both_apply() -> None:
     # The other knows white pushes only, each on one state.
     point[AT["push_t"] : AT["uneven"] + 1] = [-20.0, -20.0, math.log(0.1), -20.0, -20.0]
     found = advice.information(machine, point, SPEED, CHIRP, linear=True)[SIX, SIX]
-    time: Array = np.arange(round((advice.SECONDS + 1.0) * 50) + 1, dtype=np.float64) * 0.02
+    time: Array = np.arange(round((advice.ADVICE.seconds + 1.0) * 50) + 1, dtype=np.float64) * 0.02
     delta = manoeuvre_named("chirp").wheel_angle(time, math.radians(5.0), np.random.default_rng(1))
     sensors = (
         Sensor("y_t", 0.018, 10), Sensor("psi_t", 0.0131, 10), Sensor("y_i", 0.018, 10),
@@ -262,7 +262,7 @@ def test_the_headland_turn_that_comes_anyway_is_said_beside_what_tells_more() ->
     assert found is not None
     k, errors = PARAMETERS.index(found[1]), model_sd(True, 0.0, math.exp(MEAN[AT["uneven"]]), MEAN[SIX])
     after = advice.predicted(covariance, table[advice.TURN], errors) / SD[SIX]
-    assert k == int(np.argmin(after)) and after[k] < advice.WORTHWHILE
+    assert k == int(np.argmin(after)) and after[k] < advice.ADVICE.worthwhile
     alone = advice.advise(MACHINE, MEAN, covariance, SPEED, {step: table[step]})
     assert turn not in advice_sentence(alone)
     covariance[SIX, SIX] = np.eye(6) * 0.01**2  # known better than a turn can tell
@@ -302,7 +302,7 @@ def test_a_running_advisor_computes_one_candidate_at_a_time_and_continues_from_j
     assert advice.renew(again, MACHINE, MEAN, covariance, SPEED, later) == advice.renew(
         state, MACHINE, MEAN, covariance, SPEED, later
     )
-    advice.renew(state, MACHINE, MEAN, covariance, 2 * SPEED, later + advice.EVERY_NS)
+    advice.renew(state, MACHINE, MEAN, covariance, 2 * SPEED, later + advice.ADVICE.every_ns)
     assert len(state.table) == 1  # of another speed
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tilth.estimator.results.recommend import (
-    AGREE_BELOW,
-    DISAGREE_ABOVE,
+    RECOMMENDATION,
     RECOMMENDED,
     SINCE_CHANGE,
     disagreement,
@@ -124,11 +123,11 @@ def apart(squared: float, count: int, sd: float = 0.05) -> float:
 def test_a_disagreement_begins_late_and_ends_later() -> None:
     pem = estimate("pem")
     for share, before, found in (
-        (0.99 * DISAGREE_ABOVE[3], False, False),
-        (1.01 * DISAGREE_ABOVE[3], False, True),
-        (0.99 * DISAGREE_ABOVE[3], True, True),
-        (1.01 * AGREE_BELOW[3], True, True),
-        (0.99 * AGREE_BELOW[3], True, False),
+        (0.99 * RECOMMENDATION.disagree_above[3], False, False),
+        (1.01 * RECOMMENDATION.disagree_above[3], False, True),
+        (0.99 * RECOMMENDATION.disagree_above[3], True, True),
+        (1.01 * RECOMMENDATION.agree_below[3], True, True),
+        (0.99 * RECOMMENDATION.agree_below[3], True, False),
     ):
         steady = estimate("steady_state", THREE, off=apart(share, 3))
         reason = disagreement(by_method(pem, steady), before)

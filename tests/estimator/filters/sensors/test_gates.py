@@ -23,7 +23,7 @@ SENSORS = {
 @pytest.mark.parametrize("kind", SENSORS)
 def test_a_row_finds_the_noise_level_and_the_gate_of_its_sensor(kind: int) -> None:
     sensor, level = SENSORS[kind]
-    assert NAMES[NOISE_LEVELS[kind]] == level and GATES[kind] == sensor.GATE
+    assert NAMES[NOISE_LEVELS[kind]] == level and GATES[kind] == sensor.SENSOR.gate
     unknowns = np.linspace(0.0, 0.5, len(NAMES), dtype=np.float64)
     assert noise_factor.interpreted()(kind, unknowns) == math.exp(unknowns[NAMES.index(level)])
 
