@@ -59,7 +59,7 @@ SETTLED: Final = 0.1  # of a posterior sd of the six: a step this small ends the
 SHARES: Final = (1.0, 0.6, 0.3, 0.1, 0.02)  # of a step, that are tried
 
 
-class Response(NamedTuple):
+class StraightResponse(NamedTuple):
     """Readings of a row at a point of the unknowns, as steering alone makes them."""
 
     readings: Array  # (m,)
@@ -67,7 +67,7 @@ class Response(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class DrivenRow:
     """One row, through the filter at the prior's point."""
 
     record: Record  # along north
@@ -117,7 +117,7 @@ def _without_motion(record: Record) -> Record:
     return Record(record.t_ns, ticks, rows)
 
 
-def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
+def row_of(record: Record, setup: RigSetup, point: Array) -> DrivenRow:
     """A row, whose record has no gap, through the filter at a point, (n,), of the unknowns."""
     record = along_north(record)
     start, rows = likelihood.first_state(record, setup), record.rows
@@ -137,13 +137,13 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
     at = (epoch[chosen] - first) * len(OUTPUTS) + output[chosen]
     counts = np.bincount(at, minlength=epochs * len(OUTPUTS)).astype(np.float64)
     ticks = np.clip(np.round(((np.arange(epochs) + first) * EPOCH_S + phase) / DT), 0, len(record.ticks) - 1)
-    return Row(
+    return DrivenRow(
         record, _without_motion(record), used, made.e, np.sqrt(made.S), at, chosen, counts, epochs,
         record.ticks[ticks.astype(np.int64), WHEEL_ANGLE],
     )  # fmt: skip
 
 
-def by_epoch(row: Row, values: Array) -> Array:
+def by_epoch(row: DrivenRow, values: Array) -> Array:
     """Whitened values of the record's rows, (m, k), as outputs of the epochs, (n, c, k)."""
     scaled = (values / row.sd[:, None])[row.chosen]
     sums = np.stack([np.bincount(row.places, v, minlength=len(row.counts)) for v in scaled.T], axis=1)
@@ -177,21 +177,23 @@ class RowFit:
         """Epochs at the start of a row that are not used but as the past of others."""
         return round(SETTLING_S / EPOCH_S) - ORDER
 
-    def _open_loop(self, row: Row, point: Array, places: NDArray[np.int64], scale: float) -> Response:
+    def _open_loop(
+        self, row: DrivenRow, point: Array, places: NDArray[np.int64], scale: float
+    ) -> StraightResponse:
         ticks = row.steered.ticks.copy()
         ticks[:, WHEEL_ANGLE] *= scale
         made = innovations(
             Record(row.steered.t_ns, ticks, row.steered.rows), self.setup, np.zeros(N_STATES), point, places,
             closed=False,
         )  # fmt: skip
-        return Response(-made.e, -made.de)
+        return StraightResponse(-made.e, -made.de)
 
-    def _response(self, row: Row, point: Array, places: NDArray[np.int64]) -> Response:
+    def _response(self, row: DrivenRow, point: Array, places: NDArray[np.int64]) -> StraightResponse:
         """About straight driving, where it is in proportion to the wheel angle."""
         turned = self._open_loop(row, point, places, SCALE)
-        return Response(turned.readings / SCALE, turned.slopes / SCALE)
+        return StraightResponse(turned.readings / SCALE, turned.slopes / SCALE)
 
-    def _filtered(self, row: Row, readings: Array) -> Array:
+    def _filtered(self, row: DrivenRow, readings: Array) -> Array:
         """What changes of the readings, (m, k), make of the innovations of the epochs, (n, c, k)."""
         count = readings.shape[1]
         made = innovations(
@@ -209,6 +211,11 @@ class RowFit:
 
     def at(self, points: Array) -> list[tuple[FreeNoise, float]]:
         """(the regression, the cost with that of the prior) at each point, (k, n)."""
+        made = self.innovations_at(points)
+        return [self._judged(point, stretches) for point, stretches in zip(points, made, strict=True)]
+
+    def innovations_at(self, points: Array) -> list[list[Array]]:
+        """At each point, (k, n): less what steering changes there, (n_i, c) of each row."""
         left: list[list[Array]] = [[] for _ in points]
         for row, e, first, offsets in zip(self.rows, self.e, self.first, self.offsets, strict=True):
             changes = []
@@ -219,7 +226,7 @@ class RowFit:
             made = self._filtered(row, np.stack(changes, axis=1))
             for k, stretches in enumerate(left):
                 stretches.append((e - made[:, :, k])[:, self.present])
-        return [self._judged(point, stretches) for point, stretches in zip(points, left, strict=True)]
+        return left
 
     def _judged(self, point: Array, stretches: list[Array]) -> tuple[FreeNoise, float]:
         deviation = (point - self.mean)[self.active]
