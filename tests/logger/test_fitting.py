@@ -28,11 +28,12 @@ from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged
+from tilth.schemas import flow
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
-from tilth.schemas.sentences import notice_sentence
+from tilth.schemas.sentences import event_sentence, notice_sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.traffic import traffic
@@ -320,7 +321,11 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     (decided_fit,) = [p.value for p in fold.decided(later + 1) if p.value.method == pem.METHOD]  # type: ignore[union-attr]
     assert (decided_fit.adopted, decided_fit.awaited, decided_fit.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
     told_of = [p.value for p, _ in fold.take(replace(rows[-1], t_ns=rows[-1].t_ns + 1))]
-    assert any("not ready 300 s after it was due and is given up" in getattr(v, "text", "") for v in told_of)
+    assert any(
+        "not ready 300 s after it was due and is given up" in event_sentence(v)
+        for v in told_of
+        if isinstance(v, flow.Event)
+    )
     requested = pem.request_fit(ours, later + 2)
     assert requested is not None and ours.closed is None
 
