@@ -41,11 +41,13 @@ for segment in segments.find(run.poses):
 # %%
 fitted = fit_all(choose([run]))
 answer = as_json(fitted)
-for name, row in answer["joint"]["parameters"].items():
+joint, agreement = answer["joint"], answer["agreement"]
+assert joint and agreement
+for name, row in joint["parameters"].items():
     each = [one["parameters"][name]["value"] for one in answer["runs"]]
-    said = of_logarithm(row["value"], row["sd"]) if row["value"] else row["reason"]
+    said = of_logarithm(row["value"], row["sd"]) if row["value"] and row["sd"] else row["reason"]
     print(f"{name:8} {said}   each: {', '.join('-' if v is None else f'{v:.4g}' for v in each)}")
-print(answer["agreement"]["sentence"])
+print(agreement["sentence"])
 
 # %% [markdown]
 # ## Do they predict what was not fitted?

@@ -281,7 +281,8 @@ def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
     its words need."""
     words = LANGUAGES[language][notice.code]
     if not isinstance(words, str):
-        return words(**notice.values)
+        made: Callable[..., str] = words
+        return made(**notice.values)
     parts = ", ".join(notice_sentence(part, language) for part in notice.parts)
     return words.format(
         **notice.values,

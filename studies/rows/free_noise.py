@@ -70,7 +70,7 @@ def regress(stretches: Sequence[Array], order: int) -> FreeNoise:
     prior = np.diag(np.repeat(np.arange(1, order + 1), outputs) / SPREAD)
     now = np.concatenate([*(e[order:] for e in stretches), np.zeros((len(prior), outputs))])
     basis, triangle = np.linalg.qr(np.concatenate([past, prior]))
-    coefficients = np.linalg.solve(triangle, basis.T @ now)
+    coefficients = np.asarray(np.linalg.solve(triangle, basis.T @ now), np.float64)
     rest = now - basis @ (basis.T @ now)
     n = len(past)
     starts = np.cumsum([0, *(len(e) - order for e in stretches)])
