@@ -14,6 +14,8 @@ from tilth.logger import priority
 from tilth.logger.fitting import Worker
 from tilth.logger.preparing import Preparing
 from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.notices import Notice
+from tilth.schemas.sentences import notice_sentence
 
 SHOW = (
     "import os, pathlib; from tilth.cli.background import step_back; step_back(); "
@@ -44,9 +46,13 @@ def refusal(niceness: int) -> str:
 def main() -> None:
     said: list[str] = []
     machine = parse_machine(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    worker, preparing = Worker(machine, lambda *text: said.append(": ".join(text))), None
+
+    def report(kind: str, told: Notice) -> None:
+        said.append(f"{kind}: {notice_sentence(told)}")
+
+    worker = Worker(machine, report)
     worker.start()
-    preparing = Preparing(machine, lambda *text: said.append(": ".join(text)))
+    preparing = Preparing(machine, report)
     found: dict[str, object] = {"recorder": os.getpriority(os.PRIO_PROCESS, 0)}
     found |= {"fits": niceness(worker), "compiling": niceness(preparing)}
     found["forward"] = refusal(-15)
