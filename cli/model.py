@@ -13,7 +13,7 @@ from tilth.analysis.rig_report import LINEAR, SPEEDS, Drive, rig_report
 from tilth.analysis.rig_tables import rig_tables
 from tilth.cli import WrongUse, say, say_unusual
 from tilth.cli.desk_options import add_speed_and_model, between
-from tilth.estimator.components import COMPONENTS
+from tilth.estimator.components import components
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.identifiability import SENSOR_SETS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
@@ -102,12 +102,12 @@ def _list_parameters(as_json: bool) -> None:
     if as_json:
         constants = [
             {"component": component.name} | row._asdict() | {"value": plain(row.value)}
-            for component in COMPONENTS
+            for component in components()
             for row in rows(component.record)
         ]
         print(json.dumps({"parameters": constants}, allow_nan=False))
         return
-    for component in COMPONENTS:
+    for component in components():
         print(f"{component.name}: {type(component.record).__doc__}")
         for row in rows(component.record):
             print(f"  {row.name:28} {_shown(row.value)}{_unit(row)}")

@@ -6,7 +6,7 @@
 
     WINDOWS: Final = WindowTuning()
 
-components.py lists the records, `tilth model --parameters` prints them. Constants of nature, layouts of
+components.py finds the records, `tilth model --parameters` prints them. Constants of nature, layouts of
 arrays and units are no tuning. A kernel cannot read a record: it reads a global that is one of its values.
 """
 

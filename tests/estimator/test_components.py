@@ -11,7 +11,7 @@ import pytest
 from paths import ROOT
 
 from tilth.cli import main
-from tilth.estimator.components import COMPONENTS, Component
+from tilth.estimator.components import Component, components
 from tilth.estimator.tuning import plain, rows, tuned
 
 ESTIMATOR = ROOT / "estimator"
@@ -141,11 +141,11 @@ def test_each_record_is_a_row_under_the_name_of_its_file() -> None:
         (name, id(getattr(import_module(f"tilth.estimator.{name.replace('/', '.')}"), record)))
         for name, source in modules().items() for record, _ in records(source)
     }  # fmt: skip
-    assert {(component.name, id(component.record)) for component in COMPONENTS} == expected
-    assert len(COMPONENTS) == len(expected)
+    assert {(component.name, id(component.record)) for component in components()} == expected
+    assert len(components()) == len(expected)
 
 
-@pytest.mark.parametrize("component", COMPONENTS, ids=lambda component: component.name)
+@pytest.mark.parametrize("component", components(), ids=lambda component: component.name)
 def test_each_constant_has_a_unit_and_a_meaning(component: Component) -> None:
     assert type(component.record).__doc__, "say what they are for"
     for row in rows(component.record):
@@ -155,7 +155,7 @@ def test_each_constant_has_a_unit_and_a_meaning(component: Component) -> None:
         assert flat.size and not np.isnan(flat).any(), row
 
 
-@pytest.mark.parametrize("component", COMPONENTS, ids=lambda component: component.name)
+@pytest.mark.parametrize("component", components(), ids=lambda component: component.name)
 def test_no_record_can_be_changed(component: Component) -> None:
     name = rows(component.record)[0].name
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -177,7 +177,7 @@ def test_every_constant_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)["parameters"]
     assert [(row["component"], row["name"], row["value"], row["unit"], row["meaning"]) for row in told] == [
         (component.name, row.name, plain(row.value), row.unit, row.meaning)
-        for component in COMPONENTS
+        for component in components()
         for row in rows(component.record)
     ]
     assert main(["model", "--parameters"]) == 0
