@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,13 +67,23 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> Answer:
     with session:
         daemon = daemon_of(session, prefix, name, args.config)
         base = daemon.base(prefix)
-        replies = list(session.get(f"{base}/{key}", payload=payload, encoding="text/plain", timeout=WAIT_S))
+        replies = _replies(session, f"{base}/{key}", payload)
     for reply in replies:
         if reply.ok:
             by = f"{daemon.machine}, a simulation" if daemon.replay else daemon.machine
             return Answer(by, reply.ok.payload.to_bytes())
         raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before asking again")
+
+
+def _replies(session: zenoh.Session, key: str, payload: str) -> list[zenoh.Reply]:
+    """Of the daemon, [] where it gives none in WAIT_S."""
+    end_s = time.monotonic() + WAIT_S
+    while (left_s := end_s - time.monotonic()) > 0:
+        if replies := list(session.get(key, payload=payload, encoding="text/plain", timeout=left_s)):
+            return replies
+        time.sleep(0.1)  # a daemon that has just started has nothing to say on this key yet
+    return []
 
 
 def daemon_of(session: zenoh.Session, prefix: str, name: str, key: Path | None) -> Alive:
