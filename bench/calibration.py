@@ -32,7 +32,7 @@ from tilth.estimator.calibration.calibrated_file import calibrated_machine
 from tilth.estimator.calibration.changes import Changes, Linkage, applied, heard_after, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.linkage import KINGPIN
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED, RigVerdict, verdict
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.decode import Decoder

@@ -27,7 +27,7 @@ from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
-from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.readable import reason_of
 from tilth.schemas.rejections import Rejection
@@ -99,7 +99,7 @@ def _decoded() -> str:
     for row in PGNS:
         selector = "" if row.selector is None else f" (selector 0x{row.selector:02X})"
         lines.append(f"  {row.pgn:<6} {row.title}{selector}")
-        keys = ", ".join([*row.words, *(group.key for group in row.groups)])
+        keys = ", ".join([*row.signals, *(group.key for group in row.groups)])
         lines += textwrap.wrap(keys, 96, initial_indent=" " * 9, subsequent_indent=" " * 9)
     lines.append("and the wheel-angle sensor of the machine file, whatever its message.")
     return "\n".join(lines)

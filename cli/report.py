@@ -127,10 +127,12 @@ def _write(
     answers: "Answers",
     args: argparse.Namespace,
 ) -> int:
-    from tilth.analysis.report.build import report_of  # matplotlib takes a second: wrong use is told before
     from tilth.analysis.report.document import as_json
     from tilth.analysis.report.gather import facts_of
     from tilth.analysis.report.made import SIMULATED, warnings_of
+    from tilth.analysis.report.sections import (
+        report_of,  # matplotlib takes a second: wrong use is told before
+    )
     from tilth.analysis.report.writing import json_text, write
 
     facts = [facts_of(one, given) for one, given in zip(runs, segments, strict=True)]

@@ -37,7 +37,7 @@ from tilth.cli.desk_options import check_name
 from tilth.cli.progress_bar import bars
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
-from tilth.schemas.machine import Log
+from tilth.schemas.log_settings import Log
 
 _say = partial(say, "sensitivity")
 

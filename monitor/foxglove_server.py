@@ -21,8 +21,8 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError, Message
 
 from tilth.client.received import LARGEST, Refused, parse
+from tilth.monitor.door import Gate, hidden_host
 from tilth.monitor.foxglove_prompt import nobody_prompts, prompt_of
-from tilth.monitor.gate import Gate, hidden_host
 from tilth.monitor.origin import Refusal
 from tilth.schemas import channels
 from tilth.schemas.proto import tilth_pb2 as pb

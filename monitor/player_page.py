@@ -6,7 +6,7 @@ from typing import Any, Final
 from tilth.client.received import Refused, estimate_of, text
 from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.json_safe import plain
-from tilth.monitor.words import row
+from tilth.monitor.page_estimate import row
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.proto import tilth_pb2 as pb
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
 from tilth.monitor.history import History, Row
-from tilth.monitor.words import row
+from tilth.monitor.page_estimate import row
 from tilth.schemas.flow import FlagKind, known_flags
 
 TRACE_S: Final = 0.5  # between points of the track

@@ -17,8 +17,8 @@ from tilth.client.received import LONGEST as LONGEST_TEXT
 from tilth.client.received import Refused
 from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.overview import Overview, ask_overview
+from tilth.monitor.page_estimate import page_estimate, priors
 from tilth.monitor.traces import Traces, estimate_row, pose_quality, pose_row
-from tilth.monitor.words import page_estimate, priors
 from tilth.schemas.invocation import command
 
 EVENTS: Final = 100  # shown

@@ -16,15 +16,15 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import name_parts, name_words
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Bus
-from tilth.schemas.messages import PGNS
 from tilth.schemas.notices import Report
+from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.pgn_titles import title_of
 
 CLAIM: Final = 60928
 MOST_SAMPLES: Final = 12_000  # of one identifier: two minutes at 100 Hz
 _SELECTED: Final = frozenset(known.pgn for known in PGNS if known.selector is not None)
 _FAST: Final = frozenset(known.pgn for known in PGNS if known.fast)
-_POSITIONS: Final = frozenset(known.pgn for known in PGNS if "latitude_deg" in known.words)
+_POSITIONS: Final = frozenset(known.pgn for known in PGNS if "latitude_deg" in known.signals)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 from tilth.estimator.calibration.steering_response import SteeringOrders
 from tilth.schemas.can_id import split
 from tilth.schemas.flow import Frame, Word
-from tilth.schemas.messages import row
+from tilth.schemas.pgn_table import row
 from tilth.schemas.wheel_angle import RUDDER
 
 GUIDANCE: Final = 44288

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.schemas.can_id import split
-from tilth.schemas.messages import PGNS, row
+from tilth.schemas.pgn_table import PGNS, row
 from tilth.schemas.wheel_angle import RUDDER
 
 HAND_WHEEL: Final = 61469  # SAE J1939: the angle of the driver's wheel

@@ -1,7 +1,7 @@
 """Frames in, messages and measurements out.
 
 A frame is looked up by (bus, identifier): nobody wants most of them. What is wanted is put together where it
-takes several frames, read by its row of the table, and told in words (`messages`) or as measurements of the
+takes several frames, read by its row of the table, and told as signals (`messages`) or as measurements of the
 machine's receivers and wheel-angle sensor (`measurements`). What cannot be used is counted by reason.
 """
 
@@ -25,7 +25,7 @@ from tilth.schemas.flow import (
 from tilth.schemas.identity import AddressBook, Sender, split_name
 from tilth.schemas.machine import Machine
 from tilth.schemas.measures import Head, Made, makers_of
-from tilth.schemas.messages import PGNS, Pgn, row
+from tilth.schemas.pgn_table import PGNS, Pgn, row
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembled, Assembler, frames_in_fast, split_fast
 from tilth.schemas.rejections import Rejection, count
 from tilth.schemas.wheel_angle import RUDDER, WheelAngleSensor, compile_sensor
@@ -366,8 +366,8 @@ def encode(
     sid: int | None = None,
     groups: Mapping[str, Rows] | None = None,
 ) -> bytes:
-    """Payload of a message of the table, from words (or any further field of its row, by its key) and what it
-    repeats; what is absent is written as not available.
+    """Payload of a message of the table, from signals (or any further field of its row, by its key) and what
+    it repeats; what is absent is written as not available.
 
     Raises ValueError where the table has no such message or a value does not fit.
     """

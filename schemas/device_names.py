@@ -8,7 +8,7 @@ way: its devices are those of the industry group "marine".
 from collections.abc import Mapping
 from typing import Final
 
-from tilth.schemas.messages import MARINE, row
+from tilth.schemas.pgn_table import MARINE, row
 
 AGRICULTURE: Final = 2
 

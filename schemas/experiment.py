@@ -14,8 +14,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from tilth.schemas.file_problem import sentence
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.sentence import sentence
 
 
 class PlanError(Exception):

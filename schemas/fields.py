@@ -44,7 +44,7 @@ FAMILIES: dict[str, Callable[[int, bool], int]] = {"nmea2000": _nmea2000, "j1939
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    key: str  # a word of WORDS, a part of a composed word, or what no word needs
+    key: str  # a key of SIGNALS, a part of a composed one, or what no signal needs
     start: int
     bits: int
     scale: float = 1.0
@@ -106,7 +106,7 @@ def _number(key: str, value: Word) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Composed:
-    """A word made of several fields, such as a date and a time."""
+    """A signal made of several fields, such as a date and a time."""
 
     key: str
     parts: tuple[str, ...]  # that must be there
@@ -132,7 +132,7 @@ Rows = Sequence[Mapping[str, Word]]
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Physical range of a word; what lies outside is rejected."""
+    """Physical range of a signal; what lies outside is rejected."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -178,7 +178,7 @@ def _step(field: Field, family: str, allowed: Range) -> _Step:
 
 
 class Layout:
-    """Fields of one message, compiled: payload to words and back."""
+    """Fields of one message, compiled: payload to signals and back."""
 
     __slots__ = (
         "_all", "_alone", "_composed", "_decoded", "_family", "_fields", "_groups", "_measured", "_needed",
@@ -191,12 +191,12 @@ class Layout:
         composed: tuple[Composed, ...],
         family: str,
         size: int,
-        words: Mapping[str, Range],
+        signals: Mapping[str, Range],
         measured: frozenset[str] = frozenset(),
         groups: tuple[Group, ...] = (),
     ) -> None:
-        """size: bytes that `encode` writes; words: the keys that `decode` gives, with their ranges; measured:
-        those of them that `measured` gives."""
+        """size: bytes that `encode` writes; signals: the keys that `decode` gives, with their ranges;
+        measured: those of them that `measured` gives."""
         self._fields = {field.key: field for field in fields}
         self._family = family
         self._size = size
@@ -204,8 +204,8 @@ class Layout:
         self._composed = composed
         self._parts = {part for rule in composed for part in (*rule.parts, *rule.also)}
         plain = [field for field in fields if not field.text]
-        self._all = [_step(f, family, words.get(f.key, ANYTHING)) for f in plain]
-        self._decoded = [step for step in self._all if step.key in words or step.key in self._parts]
+        self._all = [_step(f, family, signals.get(f.key, ANYTHING)) for f in plain]
+        self._decoded = [step for step in self._all if step.key in signals or step.key in self._parts]
         self._measured = [step for step in self._decoded if step.key in measured or step.key in self._parts]
         self._texts = [(f.key, f.start // 8, f.end // 8) for f in fields if f.text]
         self._groups = [(group, _layout_of(group, family)) for group in groups]
@@ -218,17 +218,17 @@ class Layout:
     ) -> dict[str, Word]:
         """Words that the payload carries; absent where not available. Never raises.
 
-        dropped: takes the words that are outside of their range, so that somebody may see them.
+        dropped: takes the signals that are outside of their range, so that somebody may see them.
         """
         values = self._composed_of(self._read(self._decoded, payload, rejected, dropped), rejected, dropped)
         return values | self._read_texts(payload) if self._texts else values
 
     def measured(self, payload: bytes, rejected: dict[str, int]) -> dict[str, Word]:
-        """Those of the words that measurements are made of."""
+        """Those of the signals that measurements are made of."""
         return self._composed_of(self._read(self._measured, payload, rejected), rejected)
 
     def fields(self, payload: bytes) -> dict[str, Word]:
-        """Every field of the layout, also those that no word needs, before composing."""
+        """Every field of the layout, also those that no signal needs, before composing."""
         return self._read(self._all, payload, {}) | self._read_texts(payload)
 
     def groups(self, payload: bytes, rejected: dict[str, int]) -> dict[str, Rows]:
@@ -309,7 +309,7 @@ class Layout:
         return any(key in values and whole >> start & mask in raws for key, start, mask, raws in self._alone)
 
     def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
-        """Payload of words, and of any further field by its key; what is absent is written as not available.
+        """Payload of signals, and of any further field by its key; what is absent is not available.
 
         groups: what is repeated, by the key of the group. Raises ValueError for a key that the message does
         not have and for a value that does not fit.

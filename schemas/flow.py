@@ -85,20 +85,20 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One decoded message: the words it carries, absent where not available."""
+    """One decoded message: the signals it carries, absent where not available."""
 
     t_ns: int  # of the first frame
     rx_ns: int  # of the first frame
     origin: Origin
     pgn: int
     sid: int | None  # NMEA 2000 sequence identifier: ties messages of one device to one instant
-    values: Mapping[str, Word]  # keys: schemas.words.WORDS
+    values: Mapping[str, Word]  # keys: schemas.signals.SIGNALS
     repeat: bool = False  # a position that repeats the one before: not a new measurement
     title: str = ""  # what the message is called
     priority: int | None = None  # of its frames
     destination: int = 255  # 255: everybody
     groups: Mapping[str, Sequence[Mapping[str, Word]]] = field(default_factory=dict)  # what it repeats
-    dropped: Mapping[str, Word] = field(default_factory=dict)  # words outside of their range
+    dropped: Mapping[str, Word] = field(default_factory=dict)  # signals outside of their range
     reason: str | None = None  # why there is no value, or not every one: a Rejection
 
 

@@ -12,6 +12,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from tilth.schemas.bus_name import BUS_NAME
 from tilth.schemas.flow import Mount
+from tilth.schemas.log_settings import Log
+from tilth.schemas.section import Section as _Section
 
 
 class MachineError(Exception):
@@ -46,10 +48,6 @@ Inertia = Annotated[Quantity, _quantity(default_share=0.05)]
 Taped = Annotated[Quantity, _quantity(0.02)]
 """Between the CGs, the hitch and the implement's axle, as for where a receiver is: a number alone is taken to
 2 cm. In sharp turns 5 cm do what half of the implement tyres' stiffness does."""
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class MachineName(_Section):
@@ -279,28 +277,6 @@ class WheelAngle(_Section):
         ):
             raise ValueError("lookup needs two or more rows with ascending readings")
         return self
-
-
-class Log(_Section):
-    folder: str = "logs"
-    rotate_megabytes: float = Field(default=256.0, gt=0)
-    rotate_minutes: float = Field(default=10.0, gt=0)
-    ignition_off_s: float = Field(
-        default=300.0,
-        ge=0,
-        description="no frame on any bus for so long means ignition off: the run's last file is finished, "
-        "the next frame begins a new run; 0: never",
-    )
-    keep_free_megabytes: float = Field(default=200.0, ge=1, description="free space that is left alone")
-    when_full: Literal["stop", "delete_oldest"] = Field(
-        default="stop",
-        description="stop recording and say so, or delete the oldest runs that are copied off or expired and "
-        "not marked to be kept",
-    )
-    expire_days: float | None = Field(
-        default=None, gt=0, description="after which a run that is not copied off may be deleted; else never"
-    )
-    chunk_kilobytes: int = Field(default=64, ge=1, le=4096)
 
 
 class Zenoh(_Section):

@@ -4,9 +4,9 @@ import tomllib
 
 from pydantic import ValidationError
 
+from tilth.schemas.file_problem import sentence
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import refuse_impossible
-from tilth.schemas.sentence import sentence
 
 
 def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = True) -> Machine:

@@ -1,6 +1,6 @@
-"""Makes measurements from the words of a message.
+"""Makes measurements from the signals of a message.
 
-`MAKERS` is a table over words: a new message of known words needs no row here.
+`MAKERS` is a table over signals: a new message of known signals needs no row here.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,7 +23,7 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.identity import Deviation
-from tilth.schemas.messages import Pgn
+from tilth.schemas.pgn_table import Pgn
 from tilth.schemas.rejections import Rejection
 
 Head = tuple[int, int, Origin, int, int | None]
@@ -36,7 +36,7 @@ LOWEST_M, HIGHEST_M = -1000.0, 10_000.0  # of an altitude on land
 
 Values = Mapping[str, Any]
 Made = Measurement | Rejection | None
-"""A measurement; the reason why there is none; or None: its words were not available."""
+"""A measurement; the reason why there is none; or None: its signals were not available."""
 
 
 def _position(head: Head, values: Values, sd: Deviation, repeat: bool) -> Made:
@@ -123,7 +123,7 @@ def _time_of(row: Pgn) -> Callable[..., Made]:
 class Maker:
     """What one kind of measurement is made of."""
 
-    words: frozenset[str]  # that the message must be able to carry
+    signals: frozenset[str]  # that the message must be able to carry
     anyone: bool  # from any sender; else only from receivers of the machine file
     make: Callable[[Pgn], Callable[..., Made]]
 
@@ -133,7 +133,7 @@ def _plain(make: Callable[..., Made]) -> Callable[[Pgn], Callable[..., Made]]:
 
 
 def _north(make: Callable[..., Made]) -> Callable[[Pgn], Callable[..., Made]]:
-    return lambda row: _referred(make) if "heading_reference" in row.words else make
+    return lambda row: _referred(make) if "heading_reference" in row.signals else make
 
 
 MAKERS: tuple[Maker, ...] = (
@@ -155,6 +155,6 @@ def makers_of(row: Pgn, anyone: bool) -> tuple[Callable[..., Made], ...]:
     """What makes the measurements of a message: those from anyone, or those from known receivers only."""
     makes: dict[Callable[..., Made], None] = {}
     for maker in MAKERS:
-        if maker.anyone == anyone and maker.words <= set(row.words):
+        if maker.anyone == anyone and maker.signals <= set(row.signals):
             makes[maker.make(row)] = None
     return tuple(makes)

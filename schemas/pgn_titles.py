@@ -6,7 +6,7 @@ Names of SAE J1939-71, ISO 11783-7 and canboat docs/canboat.json: facts, by no m
 from collections.abc import Mapping
 from typing import Final
 
-from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_table import PGNS
 
 # fmt: off
 _OTHERS: Final[Mapping[int, str]] = {

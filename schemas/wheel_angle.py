@@ -18,7 +18,7 @@ from tilth.schemas.can_id import join, split
 from tilth.schemas.fields import DEG
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, MachineError, WheelAngle
-from tilth.schemas.messages import row
+from tilth.schemas.pgn_table import row
 from tilth.schemas.rejections import Rejection
 
 RUDDER = 127245

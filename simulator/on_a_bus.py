@@ -21,7 +21,7 @@ from tilth.logger.clock import Clock
 from tilth.schemas.can_id import NULL_ADDRESS, split
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Bus, Machine
-from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_table import PGNS
 from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import traffic
 
@@ -33,7 +33,7 @@ ECHO_NS: Final = 3_000_000_000  # a frame heard so soon after the same one was s
 LATE_NS: Final = 200_000_000
 
 CLAIM: Final = 60928
-POSITIONS: Final = {row.pgn: row.title for row in PGNS if {"latitude_deg", "fix"} & set(row.words)}
+POSITIONS: Final = {row.pgn: row.title for row in PGNS if {"latitude_deg", "fix"} & set(row.signals)}
 
 
 class CannotSend(Exception):

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from tilth.schemas.file_problem import sentence
 from tilth.schemas.flow import Mount
-from tilth.schemas.sentence import sentence
 
 
 class ScenarioError(Exception):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from tilth.schemas.can_id import BROADCAST, split
-from tilth.schemas.messages import row
+from tilth.schemas.pgn_table import row
 from tilth.simulator.pilots import SERVO
 
 COMMAND: Final = 44288

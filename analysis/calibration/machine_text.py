@@ -9,7 +9,7 @@ from typing import Any, Final
 import tomlkit
 from tomlkit.items import AbstractTable, Item
 
-from tilth.estimator.filters.unknowns import PRIOR
+from tilth.estimator.filters.priors import PRIOR
 from tilth.schemas.machine import Machine, Quantity
 
 EARLIER: Final = re.compile(r"^calibrate [0-9-]+(; was [^;]*)?(; |$)")  # of a calibration before

@@ -23,8 +23,8 @@ from tilth.estimator.calibration.calibrated_file import calibrated_machine
 from tilth.estimator.calibration.changes import Changes, wheel_after
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.faults import RigFault
-from tilth.estimator.calibration.priors import NOT_BY_DRIVING
 from tilth.estimator.calibration.receivers import ReceiverRow
+from tilth.estimator.calibration.sought_numbers import NOT_BY_DRIVING
 from tilth.estimator.calibration.steering_response import SteeringResponse, respond
 from tilth.estimator.calibration.verdict import (
     IDENTIFIED,

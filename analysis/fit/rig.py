@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.rig_setup import nominal_roll
 from tilth.estimator.filters.unknowns import AT, SIX
-from tilth.estimator.models.parameters import GEOMETRY, Rig, rig_of
+from tilth.estimator.models.parameters import GEOMETRY, Rig, geometry_of, rig_of
+from tilth.estimator.models.roll_stiffness import nominal_roll
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
@@ -21,9 +21,7 @@ def fitted_rig(machine: Machine, mean: Array) -> Rig:
     There the front axle does not tip about its pin as it is pushed. That is one more spring in a row with its
     tyres', so sigma_f is longer by C_af pin^2 / k_f (deploy/motion_equations.py, slip_rates).
     """
-    shape = dict(
-        zip(GEOMETRY, unknowns.geometry(unknowns.base_geometry(machine), mean).tolist(), strict=True)
-    )
+    shape = dict(zip(GEOMETRY, unknowns.geometry(geometry_of(machine), mean).tolist(), strict=True))
     theta = dict(zip(PARAMETERS, np.exp(mean[SIX]).tolist(), strict=True))
     roll = nominal_roll(machine)
     pivot_height, k_f = (

@@ -23,7 +23,8 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Log, Machine
+from tilth.schemas.log_settings import Log
+from tilth.schemas.machine import Machine
 from tilth.schemas.readable import readable
 
 Progress = Callable[[int, int], None]  # done, of all

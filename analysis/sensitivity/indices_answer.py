@@ -12,20 +12,12 @@ from numpy.typing import NDArray
 from tilth.analysis.fit.side_by_side import Map, side_by_side
 from tilth.analysis.sensitivity.answers import Indices, IndicesAnswer, Interval, finite
 from tilth.analysis.sensitivity.designs import Design, LogNormal
-from tilth.analysis.sensitivity.indices import (
-    POINTS,
-    SCRAMBLES,
-    Inputs,
-    SobolIndices,
-    dgsm,
-    morris,
-    of_box,
-    of_covariance,
-    sobol,
-)
+from tilth.analysis.sensitivity.inputs import Inputs, of_box, of_covariance
 from tilth.analysis.sensitivity.outputs import NAMES, case_of
 from tilth.analysis.sensitivity.propagation import Asked, outputs_of
 from tilth.analysis.sensitivity.run_batches import GlobalPlan
+from tilth.analysis.sensitivity.screening import dgsm, morris
+from tilth.analysis.sensitivity.sobol import POINTS, SCRAMBLES, SobolIndices, sobol
 from tilth.estimator.models.family import model_named
 
 Array = NDArray[np.float64]

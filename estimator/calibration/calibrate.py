@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.calibration import drive as drives
 from tilth.estimator.calibration import faults as finding
-from tilth.estimator.calibration import initial_guess, joint, linkage, priors
+from tilth.estimator.calibration import initial_guess, joint, linkage, sought_numbers
 from tilth.estimator.calibration.assignment import assign
 from tilth.estimator.calibration.changes import (
     Changes,
@@ -103,7 +103,7 @@ def calibrate(machine: Machine, measurements: Sequence[Measurement], progress: P
     fit: JointFit | None = None
     for k in range(CALIBRATION.most_fits):
         now = applied(machine, changes)
-        mean, sd = priors.wide(now, np.maximum(found_rolls.sd, CALIBRATION.roll_floor))
+        mean, sd = sought_numbers.wide(now, np.maximum(found_rolls.sd, CALIBRATION.roll_floor))
         moved = _moved(machine, changes)
         mean, sd = _centred(now, mean, sd, moved)
         start = mean.copy() if fit is None else _from(fit, mean)
@@ -207,7 +207,7 @@ def _looked(machine: Machine, measurements: Sequence[Measurement], progress: Pro
     return _Looked(drive, changes, [*faults, *more], view, found_rolls, followed, curve_sd)
 
 
-SOUGHT: Final = (*range(6), *(AT[name] for name in priors.BY_LIKELIHOOD))
+SOUGHT: Final = (*range(6), *(AT[name] for name in sought_numbers.BY_LIKELIHOOD))
 
 
 def _placed(drive: DriveGrid, changes: Changes) -> DriveGrid:
@@ -354,7 +354,7 @@ def _centred(now: Machine, mean: Array, sd: Array, moved: dict[str, float]) -> t
     """The prior about what the file said at first, unless that was no error of measuring. Masses are held."""
     mean, sd = mean.copy(), sd.copy()
     sd[list(MASSES)] = 0.0
-    for name in priors.BY_LIKELIHOOD:
+    for name in sought_numbers.BY_LIKELIHOOD:
         by = moved[name]
         if abs(by) > 3.0 * NUMBER[name].prior_sd:
             continue
@@ -366,7 +366,7 @@ def _centred(now: Machine, mean: Array, sd: Array, moved: dict[str, float]) -> t
 def _from(fit: JointFit, mean: Array) -> Array:
     """Where a fit about the changed file begins: what the changes do not hold stays."""
     start = fit.mean.copy()
-    for name in priors.BY_LIKELIHOOD:
+    for name in sought_numbers.BY_LIKELIHOOD:
         start[AT[name]] = 0.0
     for k in range(AT["roll_zero_tractor_front"], AT["roll_zero_implement_rear"] + 1):
         start[k] = mean[k]
@@ -376,7 +376,7 @@ def _from(fit: JointFit, mean: Array) -> Array:
 def _taken(machine: Machine, changes: Changes, fit: JointFit) -> Changes:
     """The changes with what a fit about the file after them has found of the numbers."""
     now = applied(machine, changes)
-    by = dict(zip(priors.BY_LIKELIHOOD, priors.metres(now, fit.mean).tolist(), strict=True))
+    by = dict(zip(sought_numbers.BY_LIKELIHOOD, sought_numbers.metres(now, fit.mean).tolist(), strict=True))
     changes = further_wheel(changes, by["wheel_zero"], by["wheel_gain"])
     return replace(
         changes,
@@ -400,7 +400,7 @@ def _moved(machine: Machine, changes: Changes) -> dict[str, float]:
 
 def _largest(fit: JointFit) -> float:
     """Sds by which a fit has moved any number from where its file stood."""
-    rows = [AT[name] for name in priors.BY_LIKELIHOOD]
+    rows = [AT[name] for name in sought_numbers.BY_LIKELIHOOD]
     return float(np.max(np.abs(fit.mean[rows]) / np.sqrt(np.diag(fit.covariance)[rows])))
 
 

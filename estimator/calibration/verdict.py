@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from tilth.estimator.calibration import priors
+from tilth.estimator.calibration import sought_numbers
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.drive import MOUNTS
 from tilth.estimator.calibration.initial_guess import INITIAL_GUESS, DrivingCoverage
 from tilth.estimator.calibration.joint import Half
-from tilth.estimator.calibration.priors import BY_LIKELIHOOD, SOUGHT
+from tilth.estimator.calibration.sought_numbers import BY_LIKELIHOOD, SOUGHT
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.rig.numbers import CIRCLE, FOLD, ROW, WEAVE, RigNumber
 from tilth.estimator.tuning import tuned
@@ -102,7 +102,7 @@ def _number_verdict(found: Calibration, number: RigNumber, further: Mapping[str,
     moved, halves, p = found.moved[name], None, None
     if name in BY_LIKELIHOOD:
         k = AT[name]
-        scale = dict(zip(BY_LIKELIHOOD, priors.slopes(found.machine).tolist(), strict=True))[name]
+        scale = dict(zip(BY_LIKELIHOOD, sought_numbers.slopes(found.machine).tolist(), strict=True))[name]
         sd = math.hypot(scale * math.sqrt(fit.covariance[k, k]), number.floor_sd, further[name])
         if fit.halves is not None:
             one, other = (moved + scale * (half.mean[k] - fit.mean[k]) for half in fit.halves)
@@ -130,7 +130,7 @@ def _number_verdict(found: Calibration, number: RigNumber, further: Mapping[str,
 def _not_in_the_fit(found: Calibration) -> dict[str, float]:
     """Number -> sd, SI, of what the fit has no unknown for: by how much receivers are later than each other,
     and the tractor's receivers aside."""
-    covariance, slopes = found.fit.covariance, priors.slopes(found.machine)
+    covariance, slopes = found.fit.covariance, sought_numbers.slopes(found.machine)
     # Who is late looks like further back, at one speed; with it goes what the fit takes these places for.
     way = found.speed * float(found.delay_sd[2])
     places = {"lever_t": way / 2.0, "lever_i": way / 2.0, "c": way, "d": way}
@@ -187,7 +187,7 @@ def soil_cost(
     mine = covariance[np.ix_(rows, rows)]
     moved = np.linalg.solve(mine, covariance[rows][:, SIX]).T  # the six by the numbers, (6, r)
     sds = {one.number.name: one.sd for one in numbers}
-    per = dict(zip(BY_LIKELIHOOD, np.abs(priors.slopes(machine)).tolist(), strict=True))
+    per = dict(zip(BY_LIKELIHOOD, np.abs(sought_numbers.slopes(machine)).tolist(), strict=True))
     published = np.array([sds.get(name, 0.0) / per[name] for name in BY_LIKELIHOOD])
     further = moved**2 @ np.maximum(published**2 - np.diag(mine), 0.0)
     shares = np.sqrt(np.diag(moved @ mine @ moved.T) + further)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.likelihood import Search
+from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import AT, NAMES
 from tilth.estimator.record.record import KIND, PLACE, TICK, WHEEL_ANGLE, R, Record, U
@@ -90,7 +91,7 @@ def model_sd(
         sds = np.maximum(sds, tight_sd)
     else:
         sds = np.sqrt(sds**2 + (FIT_COVARIANCE.hard_sd * hard) ** 2 + (FIT_COVARIANCE.held_sd * held) ** 2)
-    sds[:3] = np.hypot(sds[:3], FIT_COVARIANCE.rough_sd * (uneven / unknowns.PRIOR.rough) ** 2)
+    sds[:3] = np.hypot(sds[:3], FIT_COVARIANCE.rough_sd * (uneven / PRIOR.rough) ** 2)
     return sds
 
 

@@ -1,8 +1,8 @@
 """What the filters expect of a measurement: each sensor's own model, by the kind of the measurement.
 
-A sensor's file in sensors/ has its prediction with slopes by states and unknowns, its noise and its gate. The
-wheel angle, which is an input, has such a file too. Predictions and slopes are generated from symbols
-(deploy/observation_equations.py).
+A sensor's file in sensors/ has its prediction with slopes by states and unknowns, and its noise; gates are in
+gates.py. The wheel angle, which is an input, has such a file too. Predictions and slopes are generated from
+symbols (deploy/observation_equations.py).
 """
 
 import math
@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 
 _BY_KIND: Final = (yaw_rate, velocity, position, position, heading, roll)  # record.YAW_RATE to ROLL_ANGLE
 NOISE_LEVELS: Final = tuple(sensor.NOISE for sensor in _BY_KIND)
-GATES: Final = tuple(sensor.SENSOR.gate for sensor in _BY_KIND)
 
 
 @inner_kernel
@@ -116,9 +115,3 @@ def innovation(
 def noise_factor(kind: int, unknowns: Array) -> float:
     """Factor on the stated sd of a measurement. unknowns: (n,)."""
     return math.exp(unknowns[NOISE_LEVELS[kind]])
-
-
-def outliers(rows: Array, e: Array, S: Array) -> NDArray[np.bool_]:
-    """(m,), which of the innovations e, with variances S, of a record's rows are beyond their gates."""
-    gates = np.array(GATES)[rows[:, KIND].astype(np.intp)]
-    return np.asarray(np.abs(e) > gates * np.sqrt(S))

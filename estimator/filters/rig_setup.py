@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.models.parameters import Rig, rig_of, static_loads
+from tilth.estimator.models.parameters import Rig, geometry_of, rig_of
+from tilth.estimator.models.roll_stiffness import RollModes, nominal_roll
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
@@ -23,28 +24,10 @@ class RigSetupTuning:
 
     slow_share: float = tuned(0.3, "1", "of a position's sd, that varies slowly, in each receiver by itself")
     speed_share: float = tuned(0.4, "1", "sd of the speed over a receiver's: two of them, between fixes")
-    deflection: float = tuned(0.045, "m", "of tyres under their static load")
-    front_deflection: float = tuned(0.06, "m", "same of the front tyres: smaller, and near their rated load")
-    pivot_height: float = tuned(0.7, "m", "of the front wheels' pivot above the ground")
-    damping: float = tuned(0.08, "1", "of the roll modes")
-    gyration: float = tuned(0.48, "1", "radius of gyration in roll, over the track")
     small: float = tuned(1e-4, "1", "scale of motions for which the model is linear")
 
 
 RIG_SETUP: Final = RigSetupTuning()
-
-
-class RollModes(NamedTuple):
-    """How the bodies roll on their tyres, by names of rolling_terms.PARAMETERS."""
-
-    k_t: float  # N m/rad, less what gravity takes off
-    k_i: float
-    d_t: float  # N m s/rad
-    d_i: float
-    j_t: float  # kg m^2, about a line through the CG
-    j_i: float
-    pivot_height: float  # m, of the front axle's pivot above the ground
-    k_f: float  # N m/rad, of the front axle about its pivot
 
 
 class RigSetup(NamedTuple):
@@ -78,19 +61,6 @@ def slow_pair_sd(machine: Machine, body: str) -> float | None:
     )
 
 
-def nominal_roll(machine: Machine) -> RollModes:
-    """What mass, CG and track let expect."""
-    rig = rig_of(machine)
-    front, rear, implement = static_loads(rig)
-    k_t = rear / RIG_SETUP.deflection * (rig.w_r / 2) ** 2
-    k_i = implement / RIG_SETUP.deflection * (rig.w_i / 2) ** 2
-    j_t, j_i = rig.m_t * (RIG_SETUP.gyration * rig.w_r) ** 2, rig.m_i * (RIG_SETUP.gyration * rig.w_i) ** 2
-    d_t = 2 * RIG_SETUP.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
-    d_i = 2 * RIG_SETUP.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    k_f = front / RIG_SETUP.front_deflection * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, RIG_SETUP.pivot_height, k_f)
-
-
 def _heights(machine: Machine, corrected: bool) -> Array:
     by_mount = {r.mount: r.position[2] for r in machine.receiver if r.roll_corrected == corrected}
     return np.array([by_mount.get(mount, 0.0) for mount in Mount])
@@ -118,7 +88,7 @@ def _setup(machine: Machine) -> RigSetup:
     sds = np.array([math.radians(machine.wheel_angle.sd) / math.sqrt(2.0), *slow])
     middles, levers = unknowns.pair_middles(machine), unknowns.levers(machine)
     return RigSetup(
-        unknowns.base_geometry(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
+        geometry_of(machine), levers, middles, sds, rig_of(machine), nominal_roll(machine),
         _heights(machine, False), _heights(machine, True),
         RIG_SETUP.speed_share * float(np.mean([r.velocity_sd for r in machine.receiver])),
     )  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters.fit_covariance import published, whiteness
+from tilth.estimator.filters.gates import outliers
 from tilth.estimator.filters.likelihood import (
     Iterate,
     Search,
@@ -25,7 +26,6 @@ from tilth.estimator.filters.likelihood import (
     with_gains,
     with_noise_levels,
 )
-from tilth.estimator.filters.measurement_model import outliers
 from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step, share_of_step
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.unknowns import PRIOR
+from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]

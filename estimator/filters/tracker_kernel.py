@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.filters.gates import GATES
 from tilth.estimator.filters.joint_update import (
     JointState,
     UpdateWork,
@@ -21,7 +22,6 @@ from tilth.estimator.filters.joint_update import (
     update,
 )
 from tilth.estimator.filters.measurement_model import (
-    GATES,
     NOISE_LEVELS,
     Expected,
     innovation,

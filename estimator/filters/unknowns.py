@@ -6,25 +6,35 @@ A Gaussian over this vector is the prior and the posterior of a fit.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.priors import (
+    CG_SD,
+    LEVER_SD,
+    PAIR_SD,
+    PRIOR,
+    Prior,
+    common_latency,
+    constant,
+    level,
+    roll_compensation,
+    roll_zero,
+    survey,
+    surveyed,
+    tyre,
+)
 from tilth.estimator.models import rolling_terms
-from tilth.estimator.models.parameters import GEOMETRY, geometry_of
+from tilth.estimator.models.parameters import GEOMETRY
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.pose import latency
 from tilth.estimator.state_json import Shape
-from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Mount
-from tilth.schemas.machine import Implement, Machine, Tractor
+from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
-
-Prior = tuple[float, float]  # mean, sd
 
 
 class ActsAs(IntEnum):
@@ -51,101 +61,23 @@ class Unknown(NamedTuple):
     doubted: bool = False  # such errors move it far: what goes beyond half of the prior's sd rather is one
 
 
-def _constant(mean: float, sd: float) -> Callable[[Machine], Prior]:
-    """The same for every rig."""
-    return lambda machine: (mean, sd)
-
-
-def _tyre(k: int) -> Callable[[Machine], Prior]:
-    """Of the k-th of PARAMETERS."""
-
-    def found(machine: Machine) -> Prior:
-        tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)[k % 3]
-        value = tyres.cornering_stiffness if k < 3 else tyres.relaxation_length
-        return float(np.log(value)), tyres.log_sd
-
-    return found
-
-
-def _of_body(
-    found: Callable[[Machine, str, Tractor | Implement], float],
-) -> tuple[Callable[[Machine], Prior], ...]:
-    """Sds of the tractor and of the implement, about zero."""
-    return (
-        lambda machine: (0.0, found(machine, "tractor", machine.tractor)),
-        lambda machine: (0.0, found(machine, "implement", machine.implement)),
-    )
-
-
-def _roll_zero(mount: Mount) -> Callable[[Machine], Prior]:
-    def found(machine: Machine) -> Prior:
-        for receiver in machine.receiver:
-            if receiver.mount is mount:
-                told = receiver.roll_zero
-                return 0.0, PRIOR.roll_zero_sd if told is None else math.radians(told.sd)
-        return 0.0, 0.0
-
-    return found
-
-
-def _roll_compensation(machine: Machine) -> Prior:
-    """Either of 0 and 1."""
-    return (0.5, 0.5) if any(r.roll_corrected for r in machine.receiver) else (0.0, 0.0)
-
-
-def _surveyed(k: int) -> Callable[[Machine], Prior]:
-    """Of the k-th of GEOMETRY: a share of its value, but of e, which may be zero, its sd."""
-
-    def found(machine: Machine) -> Prior:
-        t, i = machine.tractor, machine.implement
-        quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
-        return 0.0, quantity.sd if GEOMETRY[k] == "e" else quantity.sd / abs(quantity.value)
-
-    return found
-
-
-def _level(typical: float, log_sd: float) -> Callable[[Machine], Prior]:
-    """Of the natural logarithm of a noise level."""
-    return lambda machine: (float(np.log(typical)), log_sd)
-
-
 def _factor(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
-    """Of how the bodies roll: a factor on what rig_setup.nominal_roll says."""
-    return Unknown(name, meaning, _constant(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
+    """Of how the bodies roll: a factor on what roll_stiffness.nominal_roll says."""
+    return Unknown(name, meaning, constant(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
 
 
 def _sum(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
     """A height, not below the ground."""
-    return Unknown(name, meaning, _constant(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
+    return Unknown(name, meaning, constant(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
 
 
 _VALUE: Final = ActsAs.VALUE
-_PAIR_SD = _of_body(lambda m, of, body: math.hypot(math.radians(body.pair_yaw_sd), _turned(m, of)))
-_LEVER_SD = _of_body(lambda m, of, body: _survey(m, of) if body.lever_sd is None else body.lever_sd)
-_CG_SD = _of_body(lambda m, of, body: body.cg_sd)
-
-
-@dataclass(frozen=True, slots=True)
-class UnknownsTuning:
-    """What is known of the unknowns beyond the machine file."""
-
-    roll_zero_sd: float = tuned(0.01, "rad", "zero errors of up to a degree")
-    least_curvature: float = tuned(1e-3, "1", "of a tyre's curve")
-    disturbance: tuple[float, ...] = tuned(
-        (0.15, 0.15, 0.03), "m/s^2, m/s^2, rad/s^2", "a hundredth or two of the weight"
-    )
-    uneven: float = tuned(0.006, "rad", "unevenness of usual ground")
-    rough: float = tuned(0.01, "rad", "such ground, some 3 cm rms, makes the loads of the wheels come and go")
-
-
-PRIOR: Final = UnknownsTuning()
-
 ROLL_ZEROS: Final = tuple(f"roll_zero_{mount.value}" for mount in Mount)
 
 UNKNOWNS: Final = (
     *(
         Unknown(
-            name, "natural logarithm, of N/rad or m", _tyre(k), ActsAs.FACTOR, acts_on, linear=True,
+            name, "natural logarithm, of N/rad or m", tyre(k), ActsAs.FACTOR, acts_on, linear=True,
             needs_steering=True,
         )
         for k, (name, acts_on) in enumerate(zip(PARAMETERS, rolling_terms.PARAMETERS[:6], strict=True))
@@ -161,19 +93,19 @@ UNKNOWNS: Final = (
     ),
     Unknown(
         "latency", "s: by how much all receivers report later than the file says",
-        lambda machine: (0.0, _common_latency(machine)), model_sd=0.01, doubted=True,
+        lambda machine: (0.0, common_latency(machine)), model_sd=0.01, doubted=True,
     ),
     *(
         Unknown(f"pair_{of}", "rad: heading by the surveyed antennas less true", prior, model_sd=0.002)
-        for of, prior in zip("ti", _PAIR_SD, strict=True)
+        for of, prior in zip("ti", PAIR_SD, strict=True)
     ),
     *(
         Unknown(f"lever_{of}", "m: a body's antennas are further forward than surveyed", prior, model_sd=0.01)
-        for of, prior in zip("ti", _LEVER_SD, strict=True)
+        for of, prior in zip("ti", LEVER_SD, strict=True)
     ),
     Unknown(
         "aside_i", "m: the implement's antennas are further right, relative to the tractor's",
-        lambda machine: (0.0, math.hypot(_survey(machine, "tractor"), _survey(machine, "implement"))),
+        lambda machine: (0.0, math.hypot(survey(machine, "tractor"), survey(machine, "implement"))),
         model_sd=0.02, doubted=True,
     ),
     *(
@@ -181,11 +113,11 @@ UNKNOWNS: Final = (
             f"cg_{of}", "m: CG further forward than the file says", prior, ActsAs.SUM, acts_on, linear=True,
             doubted=True,
         )
-        for of, prior, acts_on in zip("ti", _CG_SD, ("-a b c", "-d e"), strict=True)
+        for of, prior, acts_on in zip("ti", CG_SD, ("-a b c", "-d e"), strict=True)
     ),
     # 0.01 on a road, 0.1 on tilled soil
     Unknown(
-        "rolling", "rolling resistance over load", _constant(0.04, 0.03), _VALUE, "rolling",
+        "rolling", "rolling resistance over load", constant(0.04, 0.03), _VALUE, "rolling",
         needs_steering=True,
     ),
     _factor("roll_k_t", "logarithm: roll stiffness over the nominal", 0.6, "k_t"),
@@ -200,35 +132,35 @@ UNKNOWNS: Final = (
     _sum("roll_cg_t", "m: CG higher than the file says", 0.05, "h_t"),
     _sum("roll_cg_i", "the same, implement", 0.05, "h_i"),
     Unknown(
-        "camber", "camber thrust over load and camber angle", _constant(0.2, 0.15), _VALUE, "camber",
+        "camber", "camber thrust over load and camber angle", constant(0.2, 0.15), _VALUE, "camber",
         needs_steering=True,
     ),
     Unknown(
         "shrink", "how far relaxation lengths fall with slip: 1 as the tyre curve's secant, 0 not at all",
-        _constant(0.5, 0.4), _VALUE, "slip_dependence", needs_steering=True,
+        constant(0.5, 0.4), _VALUE, "slip_dependence", needs_steering=True,
     ),
     *(
-        Unknown(name, "rad: measured roll less true", _roll_zero(mount), model_sd=0.01, doubted=True)
+        Unknown(name, "rad: measured roll less true", roll_zero(mount), model_sd=0.01, doubted=True)
         for name, mount in zip(ROLL_ZEROS, Mount, strict=True)
     ),
     *(
         Unknown(
             f"roll_late_{of}", "s: by how much the rolls of a body's receivers are late",
-            _constant(0.03, 0.03),
+            constant(0.03, 0.03),
             model_sd=0.02, doubted=True, needs_steering=True,
         )
         for of in "ti"
     ),
     *(  # a gyro is filtered less than a roll
-        Unknown(f"rate_late_{of}", "s: the same of their turn rates", _constant(0.02, 0.03), model_sd=0.01)
+        Unknown(f"rate_late_{of}", "s: the same of their turn rates", constant(0.02, 0.03), model_sd=0.01)
         for of in "ti"
     ),
     Unknown(
         "sway", "of velocities where positions are corrected for roll: 1 the antenna's, 0 the ground point's",
-        _roll_compensation, model_sd=0.2,
+        roll_compensation, model_sd=0.2,
     ),
     Unknown(  # grip 0.6 to 2.5; a linear tyre is 1.7 sd away
-        "curvature", "1 over the largest side force over load: 0 is a linear tyre", _constant(1.0, 0.6),
+        "curvature", "1 over the largest side force over load: 0 is a linear tyre", constant(1.0, 0.6),
         _VALUE, "curvature", PRIOR.least_curvature, linear=True, needs_steering=True,
     ),
     Unknown(
@@ -238,23 +170,23 @@ UNKNOWNS: Final = (
     ),
     Unknown(  # twin wheels, wide tyres; one wheel an axle is 2 sd away
         "two_track", "how far an axle's wheels slip each by itself: 1 as two, 0 as one (single-track)",
-        _constant(1.0, 0.5), _VALUE, "two_track",
+        constant(1.0, 0.5), _VALUE, "two_track",
     ),
     # Natural logarithms of noise levels. Pushes last as a first-order Gauss-Markov process does, white where
     # that is less than a tick; waves of 1 to 20 m come by in 0.2 to 4 s.
-    Unknown("push_t", "the ground's force across the tractor, m/s^2", _level(PRIOR.disturbance[0], 1.2)),
-    Unknown("push_i", "the same, implement", _level(PRIOR.disturbance[1], 1.2)),
-    Unknown("push_yaw", "sd of how it turns the tractor, rad/s^2", _level(PRIOR.disturbance[2], 1.2)),
-    Unknown("memory", "how long a push lasts, s", _level(0.1, 1.0)),
-    Unknown("uneven", "sd of how far uneven ground turns a body's wheels, rad", _level(PRIOR.uneven, 1.2)),
-    Unknown("s_yaw_rate", "factor on the sd that the machine file states", _level(1.0, 0.5)),
-    Unknown("s_velocity", "the same of velocities", _level(1.0, 0.5)),
-    Unknown("s_position", "the same of positions and headings", _level(1.0, 0.5)),
-    Unknown("s_roll", "the same of rolls", _level(1.0, 0.5)),
+    Unknown("push_t", "the ground's force across the tractor, m/s^2", level(PRIOR.disturbance[0], 1.2)),
+    Unknown("push_i", "the same, implement", level(PRIOR.disturbance[1], 1.2)),
+    Unknown("push_yaw", "sd of how it turns the tractor, rad/s^2", level(PRIOR.disturbance[2], 1.2)),
+    Unknown("memory", "how long a push lasts, s", level(0.1, 1.0)),
+    Unknown("uneven", "sd of how far uneven ground turns a body's wheels, rad", level(PRIOR.uneven, 1.2)),
+    Unknown("s_yaw_rate", "factor on the sd that the machine file states", level(1.0, 0.5)),
+    Unknown("s_velocity", "the same of velocities", level(1.0, 0.5)),
+    Unknown("s_position", "the same of positions and headings", level(1.0, 0.5)),
+    Unknown("s_roll", "the same of rolls", level(1.0, 0.5)),
     *(
-        Unknown(name, "m: true less told", _surveyed(k), ActsAs.SUM, name, linear=True)
+        Unknown(name, "m: true less told", surveyed(k), ActsAs.SUM, name, linear=True)
         if name == "e"
-        else Unknown(name, "logarithm: true over told", _surveyed(k), ActsAs.FACTOR, name, linear=True)
+        else Unknown(name, "logarithm: true over told", surveyed(k), ActsAs.FACTOR, name, linear=True)
         for k, name in enumerate(GEOMETRY)
     ),
 )  # fmt: skip
@@ -388,28 +320,3 @@ def pair_middles(machine: Machine) -> Array:
         if places:
             middles[k] = np.mean(places, axis=0)
     return middles
-
-
-def base_geometry(machine: Machine) -> Array:
-    """GEOMETRY of the machine file, shape (9,)."""
-    return geometry_of(machine)
-
-
-def _common_latency(machine: Machine) -> float:
-    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
-    sds = [by_mount[m] for m in Mount if m in by_mount]
-    return latency.prior([*sds, *[0.0] * (4 - len(sds))]).sd_mean(list(range(len(sds))))
-
-
-def _survey(machine: Machine, body: str) -> float:
-    """Sd of the middle of a body's receivers, m."""
-    sds = [r.survey_sd for r in machine.receiver if r.mount.body == body]
-    return math.hypot(*sds) / len(sds) if sds else 0.0
-
-
-def _turned(machine: Machine, body: str) -> float:
-    """Sd of the yaw of a body's two receivers, rad, by what is not known of their places to either side."""
-    pair = [r for r in machine.receiver if r.mount.body == body]
-    if len(pair) != 2:
-        return 0.0
-    return math.hypot(*(r.survey_sd for r in pair)) / math.dist(pair[0].position[:2], pair[1].position[:2])

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import fit_covariance, unknowns
 from tilth.estimator.filters.drift import retained_share
+from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.rig_setup import slow_pair_sd
 from tilth.estimator.filters.states import STATE
 from tilth.estimator.filters.steady_outputs import CONSTANTS, INPUTS, largest_slip, linearised
@@ -155,7 +156,7 @@ def initial(machine: Machine) -> SteadyState:
 def _roll_zero_sd(machine: Machine, body: str) -> float:
     """Sd of the mean zero error of the rolls that a body's receivers measure, rad."""
     n = sum(r.mount.body == body for r in machine.receiver)
-    return unknowns.PRIOR.roll_zero_sd / math.sqrt(n) if n else 0.0
+    return PRIOR.roll_zero_sd / math.sqrt(n) if n else 0.0
 
 
 def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | None = None) -> Estimate | None:

@@ -16,6 +16,7 @@ from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
 from tilth.estimator.filters.predictor import run_filter
+from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import Checkpoint
@@ -121,7 +122,7 @@ class TrackerState:
     residual_ratio: Annotated[Array, Shape((SENSORS,))] = field(default_factory=lambda: np.ones(SENSORS))
     """Variances of yaw rates, velocities, positions and rolls over the stated ones, running means."""
     disturbance: Annotated[Array, Shape((4,))] = field(
-        default_factory=lambda: np.square([*unknowns.PRIOR.disturbance, unknowns.PRIOR.uneven])
+        default_factory=lambda: np.square([*PRIOR.disturbance, PRIOR.uneven])
     )
     """Variances of the ground's pushes and of its unevenness."""
     segments_adapted: int = 0  # to which `disturbance` has been adapted
@@ -378,9 +379,7 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
     logs = np.log(state.disturbance) + 0.5 * (ratio - 1.0) / memory
     state.disturbance = np.exp(
-        logs
-        + (np.log(np.square([*unknowns.PRIOR.disturbance, unknowns.PRIOR.uneven])) - logs)
-        / TRACKER.disturbance_forgetting
+        logs + (np.log(np.square([*PRIOR.disturbance, PRIOR.uneven])) - logs) / TRACKER.disturbance_forgetting
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.two_step_fit import TwoStep, Window, identify, merge_scalar
+from tilth.estimator.models.parameters import geometry_of
 from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.windows import OPEN, close_window, collect, refuse
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
@@ -106,7 +107,7 @@ def fit(machine: Machine, job: Job) -> TwoStep:
     file."""
     mean, _ = unknowns.prior(machine)
     start: Array = np.exp(mean[unknowns.SIX])
-    return identify(Window(job.record, unknowns.base_geometry(machine), start, unknowns.levers(machine)))
+    return identify(Window(job.record, geometry_of(machine), start, unknowns.levers(machine)))
 
 
 def rehearse(machine: Machine) -> None:

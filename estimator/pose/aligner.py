@@ -15,6 +15,7 @@ from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.pose.latency import Latency
 from tilth.estimator.pose.lateness import Lateness
 from tilth.estimator.pose.log_time import LOG_TIME
+from tilth.estimator.pose.receiver_lost import lost
 from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, Sample, Track
 from tilth.estimator.pose.screen import SCREEN, Screens
 from tilth.estimator.state_json import NOT_STORED
@@ -35,8 +36,8 @@ from tilth.schemas.flow import (
     YawRate,
 )
 from tilth.schemas.machine import Machine, Receiver
-from tilth.schemas.messages import DAY_NS
 from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.pgn_table import DAY_NS
 from tilth.schemas.rejections import Rejection, count
 
 
@@ -48,7 +49,6 @@ class AlignmentTuning:
     deadline_ns: int = tuned(
         500_000_000, "ns", "longest wait of a pose for what receivers still have to send"
     )
-    lost_ns: int = tuned(1_500_000_000, "ns", "without a usable position for so long a receiver is lost")
     fix_ns: int = tuned(5_000_000_000, "ns", "a fix that was reported longer ago counts as unknown")
     moved_sd: float = tuned(0.03, "s", "least sd of the learned latency of a moved receiver: 0.1 m at 3 m/s")
     farthest_from_origin: float = tuned(
@@ -216,7 +216,7 @@ def _take_position(state: Aligner, track: Track, position: Position) -> None:
     if position.pgn != track.position_pgn:
         # A receiver may send each position twice, as PGN 129025 and as 129029. The higher PGN is used only
         # when the lower one has stopped, so that no position counts twice.
-        silent = not track.positions or position.rx_ns - track.last_position_ns > ALIGNMENT.lost_ns
+        silent = not track.positions or lost(track.last_position_ns, position.rx_ns)
         if not silent and position.pgn > track.position_pgn:
             return
         track.position_pgn = position.pgn
@@ -324,12 +324,12 @@ def _positions_are_in(state: Aligner, now_ns: int) -> bool:
 
 
 def _active_receivers(state: Aligner, now_ns: int) -> list[tuple[int, Track]]:
-    """(index into MOUNTS, track) of the receivers that had a usable position in the last `lost_ns`."""
+    """(index into MOUNTS, track) of the receivers that had a usable position lately."""
     return [
         (index, track)
         for index, mount in enumerate(MOUNTS)
         if (track := state.tracks.get(mount.value)) is not None
         and track.positions
         and track.usable()
-        and now_ns - track.last_position_ns <= ALIGNMENT.lost_ns
+        and not lost(track.last_position_ns, now_ns)
     ]

@@ -14,8 +14,8 @@ from typing import Final
 
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import EventKind, Frame
-from tilth.schemas.messages import DAY_NS
 from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.pgn_table import DAY_NS
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, WHEEL, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
+from tilth.estimator.pose.receiver_lost import LOST
 from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, angle_at, sample_at
 from tilth.estimator.rig.geometry import Vector, lever, wrap
 from tilth.estimator.rig.residuals import hitch_gap, pair_of, sideways
@@ -131,7 +132,7 @@ def _interpolate_body(state: Aligner, index: int, t_ns: int, flags: list[Flag]) 
         found = track.position_at(at) if track.usable() else None
         if found is None:
             if track.usable() and track.positions:
-                repeating = track.repeated_ns > max(track.last_position_ns, t_ns - ALIGNMENT.lost_ns)
+                repeating = track.repeated_ns > max(track.last_position_ns, t_ns - LOST.lost_ns)
                 flags.append(Flag(FlagKind.REPEATING if repeating else FlagKind.LOST, MOUNTS[i].value))
             continue
         point, sd, extrapolated = found
@@ -223,7 +224,7 @@ def _reversed_bodies(state: Aligner, bodies: list[_Body]) -> list[int]:
     if (
         pair_velocity is None
         or state.direction == 0
-        or state.last_pose_ns - state.direction_ns > ALIGNMENT.lost_ns
+        or state.last_pose_ns - state.direction_ns > LOST.lost_ns
     ):
         return []
     backwards = abs(pair_velocity[0]) >= DRIVING.cruise and pair_velocity[0] * state.direction < 0
@@ -375,7 +376,7 @@ def _direction(state: Aligner, tractor: _Body, t_ns: int) -> int:
     if tractor.velocity is not None:
         u = tractor.velocity[0]
         return 0 if abs(u) < DRIVING.moving else (1 if u > 0 else -1)
-    return state.direction if abs(t_ns - state.direction_ns) < ALIGNMENT.lost_ns else 0
+    return state.direction if abs(t_ns - state.direction_ns) < LOST.lost_ns else 0
 
 
 def _assemble(state: Aligner, bodies: list[_Body], t_ns: int, flags: list[Flag]) -> Pose:

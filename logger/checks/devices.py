@@ -12,12 +12,12 @@ from tilth.schemas.device_names import manufacturer_name
 from tilth.schemas.flow import Frame, Mount, Position, WheelAngle
 from tilth.schemas.identity import split_name
 from tilth.schemas.machine import Bus, Machine, Receiver
-from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.sentences import notice_sentence
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
 
 MOST_CANDIDATES: Final = 3  # candidates
-_POSITIONS: Final = frozenset(row.pgn for row in PGNS if "latitude_deg" in row.words)
+_POSITIONS: Final = frozenset(row.pgn for row in PGNS if "latitude_deg" in row.signals)
 _PROPRIETARY_PGNS: Final = (
     range(0xFF00, 0x10000),
     range(0xEF00, 0xF000),

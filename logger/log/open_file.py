@@ -4,7 +4,8 @@ from typing import IO, cast
 
 from tilth.logger.log.disk import Spool
 from tilth.logger.log.mcap_log import LogWriter, RunPart
-from tilth.schemas.machine import Log, Machine
+from tilth.schemas.log_settings import Log
+from tilth.schemas.machine import Machine
 
 
 class OpenFile:

@@ -5,7 +5,7 @@ from pathlib import Path
 from tilth.logger.log.derived import reports_in
 from tilth.logger.log.runs import delete, may_go, stored_runs
 from tilth.schemas.flow import EventKind
-from tilth.schemas.machine import Log
+from tilth.schemas.log_settings import Log
 from tilth.schemas.notices import NoticeCode, Report, notice
 
 LEAST_BYTES = 16e6  # above what is left alone: less is not worth a file

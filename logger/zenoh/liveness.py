@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from tilth.estimator.pose.aligner import ALIGNMENT
+from tilth.estimator.pose.receiver_lost import LOST
 from tilth.schemas.flow import Fix, FixType, Measurement, Mount, Position, WheelAngle
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -80,6 +81,6 @@ def _status(device: _Device, t_ns: int, mount: str) -> pb.ReceiverStatus:
 def _state(device: _Device, t_ns: int) -> DeviceState:
     if device.any_ns == 0:
         return DeviceState.WAITING
-    if device.data_ns and t_ns - device.data_ns < ALIGNMENT.lost_ns:
+    if device.data_ns and t_ns - device.data_ns < LOST.lost_ns:
         return DeviceState.ALIVE
-    return DeviceState.NO_DATA if t_ns - device.any_ns < ALIGNMENT.lost_ns else DeviceState.LOST
+    return DeviceState.NO_DATA if t_ns - device.any_ns < LOST.lost_ns else DeviceState.LOST

@@ -12,3 +12,4 @@ from tilth.schemas.sentences.notices import notice_sentence as notice_sentence
 from tilth.schemas.sentences.reasons import SENTENCES as SENTENCES
 from tilth.schemas.sentences.reasons import sentence as sentence
 from tilth.schemas.sentences.rejections import rejection_sentence as rejection_sentence
+from tilth.schemas.sentences.soil import soil_words as soil_words

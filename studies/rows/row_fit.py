@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from studies.rows.free_noise import FreeNoise, gradient_and_information, regress, slopes_left
 from tilth.estimator.filters import likelihood
+from tilth.estimator.filters.gates import outliers
 from tilth.estimator.filters.likelihood import innovations
-from tilth.estimator.filters.measurement_model import outliers
 from tilth.estimator.filters.newton import newton_step
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.states import DT, N_STATES

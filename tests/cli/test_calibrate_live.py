@@ -24,7 +24,7 @@ from tilth.client.calibration.shown import (
     ParkedSenders,
 )
 from tilth.estimator.calibration import stages
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.estimator.calibration.stage_words import STAGE
 from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.schemas.invocation import started_as

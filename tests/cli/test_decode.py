@@ -18,8 +18,8 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Word
-from tilth.schemas.messages import PGNS
-from tilth.schemas.words import WORDS
+from tilth.schemas.pgn_table import PGNS
+from tilth.schemas.signals import SIGNALS
 from tilth.simulator.traffic import simulate
 
 HEAD = ("t_ns", "bus", "source", "name", "pgn")
@@ -104,7 +104,7 @@ def test_numbers_keep_their_full_precision(answer: Answer, tmp_path: Path) -> No
     decoder = Decoder()
     wanted = [message.values for frame in frames(log) for message in decoder.messages(frame)]
     found = [
-        {word: value for word, value in row.items() if word in WORDS}
+        {word: value for word, value in row.items() if word in SIGNALS}
         for row in rows_of(answer("--json", log)[1])
     ]
     assert found == wanted
@@ -231,7 +231,7 @@ def test_help_lists_what_is_decoded(capsys: pytest.CaptureFixture[str]) -> None:
     output = capsys.readouterr().out
     for row in PGNS:
         assert f"{row.pgn} " in output and row.title in output
-    assert set(WORDS) <= set(re.findall(r"\w+", output))
+    assert set(SIGNALS) <= set(re.findall(r"\w+", output))
 
 
 def test_a_value_that_is_dropped_is_shown_with_its_reason(answer: Answer, tmp_path: Path) -> None:
@@ -280,8 +280,8 @@ def test_recorded_logs(path: Path, answer: Answer) -> None:
     assert f"{len(rows)} messages" in err
     for row in rows:
         assert tuple(row)[:5] == HEAD
-        assert set(row) - set(HEAD) - FURTHER <= WORDS.keys()
-        assert set(row) & (WORDS.keys() | {"dropped", "reason"}), "an empty row says why"
+        assert set(row) - set(HEAD) - FURTHER <= SIGNALS.keys()
+        assert set(row) & (SIGNALS.keys() | {"dropped", "reason"}), "an empty row says why"
         assert row["name"] is None or len(str(row["name"])) == 16
 
 

@@ -21,7 +21,7 @@ from tilth.schemas.can_id import split
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
-from tilth.schemas.messages import row
+from tilth.schemas.pgn_table import row
 from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import Ground, Scenario, Soil, SoilChange
 

@@ -27,8 +27,8 @@ from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.proto import tilth_pb2 as pb
 
 pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
+from tilth.monitor.door import hidden_host
 from tilth.monitor.foxglove_server import FoxgloveServer
-from tilth.monitor.gate import hidden_host
 
 BASE = "tilth/jd7930-parker500"
 WANTED = (

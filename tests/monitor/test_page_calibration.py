@@ -18,7 +18,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 from stage import Monitor
 
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 
 PICTURE = ROOT / "docs/pictures/page-calibration.png"
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}

@@ -13,11 +13,11 @@ from tilth.schemas.decode import ROUTES, Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Message
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
-from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences.rejections import REJECTIONS
-from tilth.schemas.words import WORDS
+from tilth.schemas.signals import SIGNALS
 
 CANBOAT = SHARED / "data" / "canboat"
 RIG = parse_machine((ROOT / "deploy/machines/jd7930-parker500.toml").read_text())
@@ -69,7 +69,7 @@ def check(found: list[Message] | list[Measurement], frame: Frame, decoder: Decod
     for item in found:
         assert item.origin.bus == frame.bus
         if isinstance(item, Message):
-            assert item.values.keys() <= WORDS.keys()
+            assert item.values.keys() <= SIGNALS.keys()
             json.dumps(dict(item.values), allow_nan=False)
 
 

@@ -25,7 +25,7 @@ from tilth.replay.readers.log import LogError
 from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Message
-from tilth.schemas.messages import DAY_NS, PGNS, ROW
+from tilth.schemas.pgn_table import DAY_NS, PGNS, ROW
 from tilth.schemas.reassembly import Assembler
 
 DATA = SHARED / "data"
@@ -225,7 +225,9 @@ def test_every_field_is_what_nmea2000_says(name: str) -> None:
         expected = expected_of(decoded.pgn, output, found)
         assert found.keys() == expected.keys() - decoded.dropped.keys(), (decoded, output)
         composed = {"utc_ns"} & decoded.values.keys()
-        assert decoded.values.keys() == (expected.keys() & set(row.words)) - decoded.dropped.keys() | composed
+        assert (
+            decoded.values.keys() == (expected.keys() & set(row.signals)) - decoded.dropped.keys() | composed
+        )
         assert all(decoded.dropped[key] == pytest.approx(expected.pop(key)) for key in decoded.dropped)
         for key, value in expected.items():
             # Both are floats nearest to the same decimal, give or take the last bit.

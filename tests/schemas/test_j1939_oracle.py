@@ -17,7 +17,7 @@ import pytest
 
 from tilth.schemas.can_id import split
 from tilth.schemas.fields import DEG, KMH, Field
-from tilth.schemas.messages import PGNS, Pgn, row
+from tilth.schemas.pgn_table import PGNS, Pgn, row
 
 ROWS = [known for known in PGNS if known.family == "j1939"]
 ELSEWHERE = {44032, 44288, 65535}

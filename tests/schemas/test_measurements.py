@@ -11,9 +11,9 @@ from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.measures import MAKERS
-from tilth.schemas.messages import PGNS, Pgn
+from tilth.schemas.pgn_table import PGNS, Pgn
 from tilth.schemas.rejections import Rejection
-from tilth.schemas.words import WORDS
+from tilth.schemas.signals import SIGNALS
 
 RIG = parse_machine(
     (ROOT / "deploy/machines/jd7930-parker500.toml")
@@ -288,4 +288,4 @@ def test_a_message_by_transport_protocol() -> None:
 
 def test_makers_ask_for_words_that_there_are() -> None:
     for maker in MAKERS:
-        assert maker.words <= set(WORDS)
+        assert maker.signals <= set(SIGNALS)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tilth.schemas.messages import PGNS
+from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.pgn_titles import is_proprietary, title_of
 
 

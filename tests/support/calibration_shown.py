@@ -10,7 +10,7 @@ from tilth.client.calibration.shown import (
     shown,
 )
 from tilth.estimator.calibration import stages
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED
 
 STANDS: Plan = ((10, 0.0, 0),)

@@ -2,11 +2,9 @@
 
 from typing import Final
 
-from tilth.estimator.filters.sensors.observation import SensorTuning
 from tilth.estimator.filters.unknowns import AT_S_POSITION
 from tilth.estimator.models.generated.observation_kernels import heading
 
 NOISE: Final = AT_S_POSITION  # logarithm of the factor on the stated sd
-SENSOR: Final = SensorTuning(gate=5.0)
 
 predict_heading = heading  # rad

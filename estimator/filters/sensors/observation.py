@@ -1,18 +1,9 @@
 """One measurement as its sensor's model takes it."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.record.record import HEADING, YAW_RATE
-from tilth.estimator.tuning import tuned
-
-
-@dataclass(frozen=True, slots=True)
-class SensorTuning:
-    """One sensor of the filters."""
-
-    gate: float = tuned(5.0, "sd", "a larger innovation is an outlier")
 
 
 class Observation(NamedTuple):

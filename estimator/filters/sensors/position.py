@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.sensors.observation import Observation, SensorTuning
+from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.unknowns import AT_S_POSITION
 from tilth.estimator.models.generated.observation_kernels import east_i, east_t, north_i, north_t
 from tilth.estimator.record.record import NORTH
@@ -16,7 +16,6 @@ from tilth.estimator.record.record import NORTH
 Array = NDArray[np.float64]
 
 NOISE: Final = AT_S_POSITION  # logarithm of the factor on the stated sd
-SENSOR: Final = SensorTuning(gate=5.0)
 
 
 @inner_kernel

@@ -2,11 +2,9 @@
 
 from typing import Final
 
-from tilth.estimator.filters.sensors.observation import SensorTuning
 from tilth.estimator.filters.unknowns import AT_S_ROLL
 from tilth.estimator.models.generated.observation_kernels import measured_roll
 
 NOISE: Final = AT_S_ROLL  # logarithm of the factor on the stated sd
-SENSOR: Final = SensorTuning(gate=5.0)
 
 predict_roll = measured_roll  # rad

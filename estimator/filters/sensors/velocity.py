@@ -7,14 +7,13 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.sensors.observation import Observation, SensorTuning
+from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.unknowns import AT_S_VELOCITY
 from tilth.estimator.models.generated.observation_kernels import velocity_i, velocity_t
 
 Array = NDArray[np.float64]
 
 NOISE: Final = AT_S_VELOCITY  # logarithm of the factor on the stated sd
-SENSOR: Final = SensorTuning(gate=5.0)
 
 
 @inner_kernel

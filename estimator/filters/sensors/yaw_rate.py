@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
-from tilth.estimator.filters.sensors.observation import Observation, SensorTuning
+from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import DT, X_R
 from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, AT_YAW_RATE_DELAY
 from tilth.estimator.models.generated.observation_kernels import yaw_rate
@@ -14,7 +14,6 @@ from tilth.estimator.models.generated.observation_kernels import yaw_rate
 Array = NDArray[np.float64]
 
 NOISE: Final = AT_S_YAW_RATE  # logarithm of the factor on the stated sd
-SENSOR: Final = SensorTuning(gate=5.0)
 
 
 @inner_kernel

@@ -7,7 +7,7 @@ from kinematic_drive import FILE, MACHINE
 from tilth.analysis.calibration.machine_text import difference, from_to, rewritten, unfilled
 from tilth.estimator.calibration.changes import CHANGES, Changes, applied, linkage_of
 from tilth.estimator.calibration.drive import MOUNTS
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.replay.wheel_by_way import WheelWord, reading_as
 from tilth.schemas.machine_toml import parse_machine
 

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from report_parts import everything
 
 from tilth.analysis.report import figures
-from tilth.analysis.report.build import report_of
 from tilth.analysis.report.document import ReportFigure, figures_of
 from tilth.analysis.report.figure_look import FONT_PT, LOOK, METHOD_LINES, floats, plain_ticks
 from tilth.analysis.report.gather import SOIL_CHANGE
+from tilth.analysis.report.sections import report_of
 
 pytestmark = pytest.mark.long
 

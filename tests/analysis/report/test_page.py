@@ -9,9 +9,9 @@ import pytest
 from report_parts import everything
 from report_run import WRITTEN
 
-from tilth.analysis.report.build import report_of
 from tilth.analysis.report.document import DriveReport, ReportTable, as_json, figures_of, parts_of
 from tilth.analysis.report.page import page
+from tilth.analysis.report.sections import report_of
 
 pytestmark = pytest.mark.long
 

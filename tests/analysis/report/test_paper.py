@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from report_parts import everything
 from report_run import WRITTEN
 
-from tilth.analysis.report.build import report_of
 from tilth.analysis.report.document import (
     HELD_OUT,
     WARNING,
@@ -27,6 +26,7 @@ from tilth.analysis.report.document import (
 )
 from tilth.analysis.report.page import page
 from tilth.analysis.report.paper import NoTypst, content, paper, require_typst
+from tilth.analysis.report.sections import report_of
 from tilth.analysis.report.writing import json_text
 
 

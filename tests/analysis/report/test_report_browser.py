@@ -14,8 +14,8 @@ from PIL import Image
 from playwright.sync_api import Browser, Page
 from report_parts import everything
 
-from tilth.analysis.report.build import report_of
 from tilth.analysis.report.page import page
+from tilth.analysis.report.sections import report_of
 
 PICTURE = ROOT / "docs/pictures/report.png"
 ON_PAPER = 688  # px between the margins of A4

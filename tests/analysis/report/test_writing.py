@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from tilth.analysis.report import writing
-from tilth.analysis.report.build import report_of
 from tilth.analysis.report.document import DriveReport, as_json
+from tilth.analysis.report.sections import report_of
 from tilth.analysis.report.writing import outputs, write
 
 

@@ -11,7 +11,7 @@ from logs import MACHINE
 from tilth.estimator.calibration.calibrate import Calibration
 from tilth.estimator.calibration.calibrated_file import calibrated_machine, identified_changes
 from tilth.estimator.calibration.changes import Changes
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED, NOT_IDENTIFIABLE, NumberVerdict, RigVerdict
 
 FOUND = cast(  # what of a calibration goes into the file

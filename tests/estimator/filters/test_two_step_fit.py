@@ -8,12 +8,13 @@ from step_runs import MACHINE, STEP_AT, TICKS, TRUTH, Array, record_of, step_run
 
 from tilth.estimator.filters import two_step_fit, unknowns
 from tilth.estimator.filters.two_step_fit import Window, identify, merge_scalar
+from tilth.estimator.models.parameters import geometry_of
 from tilth.estimator.record.record import EAST, NORTH, YAW_RATE, Record
 from tilth.schemas.reasons import Code
 
 
 def window(record: Record, start: Array) -> Window:
-    return Window(record, unknowns.base_geometry(MACHINE), start, unknowns.levers(MACHINE))
+    return Window(record, geometry_of(MACHINE), start, unknowns.levers(MACHINE))
 
 
 def test_merging_gives_the_dissertations_table() -> None:
@@ -61,9 +62,7 @@ def test_with_a_free_gain_the_intervals_are_too_narrow() -> None:
     for seed in range(12):
         outputs = two_step_fit._outputs(window(record_of(wheel, 1.0, seed=seed), TRUTH))
         assert outputs is not None
-        lengths, sds, within = two_step_fit._relaxation_lengths(
-            outputs, unknowns.base_geometry(MACHINE), TRUTH
-        )
+        lengths, sds, within = two_step_fit._relaxation_lengths(outputs, geometry_of(MACHINE), TRUTH)
         assert within
         inside += (np.abs(lengths - TRUTH[3:]) < 1.96 * sds).tolist()
     assert 0.35 < np.mean(inside) < 0.9

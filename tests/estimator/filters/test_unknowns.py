@@ -19,7 +19,7 @@ from tilth.deploy import codes_page
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.propagation import P_GEOMETRY, set_parameters
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.models.parameters import GEOMETRY
+from tilth.estimator.models.parameters import GEOMETRY, geometry_of
 from tilth.estimator.models.rolling_terms import CONSTANTS, PARAMETERS
 
 EXAMPLE = next(diff for diff in DIFFS if diff.startswith("--- a/estimator/filters/unknowns.py\n"))
@@ -47,7 +47,7 @@ def test_what_an_unknown_does_to_a_parameter_has_the_slope_of_a_difference(linea
         np.testing.assert_allclose((more - less) / 2e-6, expected[k], rtol=1e-6, atol=1e-3)
     six = np.exp(point[unknowns.SIX])
     np.testing.assert_allclose(p[:6], six)
-    shape = unknowns.geometry(unknowns.base_geometry(MACHINE), point)
+    shape = unknowns.geometry(geometry_of(MACHINE), point)
     np.testing.assert_array_equal(p[P_GEOMETRY:][: len(GEOMETRY)], shape)
 
 

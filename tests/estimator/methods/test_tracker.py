@@ -14,6 +14,7 @@ from stretches import ACTIVE, SETUP, Array, somewhere
 from tilth.estimator import fold
 from tilth.estimator.filters import fit_covariance, soil_change, unknowns
 from tilth.estimator.filters.measurement_model import predict_measurement
+from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import (
     first_covariance,
     ground_at,
@@ -306,7 +307,7 @@ def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -
     state = tracker.initial(MACHINE)
     state.disturbance[3] = 0.003**2
     before = np.diag(tracker.reported_covariance(state))
-    state.disturbance[3] = unknowns.PRIOR.rough**2
+    state.disturbance[3] = PRIOR.rough**2
     wider = np.diag(tracker.reported_covariance(state)) - before
     assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
     assert wider[3:] == pytest.approx(0.0, abs=1e-15)

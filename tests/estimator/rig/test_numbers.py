@@ -5,7 +5,7 @@ import math
 import pytest
 from kinematic_drive import MACHINE
 
-from tilth.estimator.calibration.priors import SOUGHT
+from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.rig.adjustments import Amount
 from tilth.estimator.rig.numbers import HYPOTHESES, NUMBER, NUMBERS, RigNumber, changed

@@ -3,7 +3,7 @@
 import pytest
 from logs import MACHINE
 
-from tilth.estimator.pose.aligner import ALIGNMENT
+from tilth.estimator.pose.receiver_lost import LOST
 from tilth.logger.zenoh.liveness import Sensors
 from tilth.schemas.flow import Mount, Origin, Position, WheelAngle, YawRate
 from tilth.schemas.states import DeviceState
@@ -24,12 +24,12 @@ def test_a_receiver_is_waited_for_alive_and_lost() -> None:
     front, *others = sensors.receivers(3 * SECOND)
     assert front.state == DeviceState.ALIVE and front.source == 28 and front.per_s == pytest.approx(5.0)
     assert front.age_s == pytest.approx(0.2) and {row.state for row in others} == {DeviceState.WAITING}
-    front, *_ = sensors.receivers(3 * SECOND + ALIGNMENT.lost_ns)
+    front, *_ = sensors.receivers(3 * SECOND + LOST.lost_ns)
     assert front.state == front.fault == DeviceState.LOST and front.fault_age_s == 0.0
     sensors.take(position(6 * SECOND))
     front, *_ = sensors.receivers(6 * SECOND)
     assert front.state == DeviceState.ALIVE and front.fault == DeviceState.LOST
-    assert front.fault_age_s == pytest.approx(3.0 - ALIGNMENT.lost_ns * 1e-9)
+    assert front.fault_age_s == pytest.approx(3.0 - LOST.lost_ns * 1e-9)
 
 
 def test_one_that_sends_no_position_has_no_data() -> None:

@@ -13,7 +13,9 @@ import SALib.sample.sobol
 from numpy.typing import NDArray
 from SALib.test_functions import Ishigami, Sobol_G
 
-from tilth.analysis.sensitivity.indices import Inputs, dgsm, of_covariance, sobol
+from tilth.analysis.sensitivity.inputs import Inputs, of_covariance
+from tilth.analysis.sensitivity.screening import dgsm
+from tilth.analysis.sensitivity.sobol import sobol
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tilth.schemas import can_id, flow
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.fields import FAMILIES, Field, Group
-from tilth.schemas.messages import PGNS, Pgn, row
-from tilth.schemas.words import WORDS
+from tilth.schemas.pgn_table import PGNS, Pgn, row
+from tilth.schemas.signals import SIGNALS
 
 ROWS = [pytest.param(row, id=f"{row.pgn}-{row.selector or 0:02X}") for row in PGNS]
 FIELDS = [
@@ -137,7 +137,7 @@ def test_a_row_is_complete(row: Pgn) -> None:
     assert (row.manufacturer is None) == (row.pgn not in (65535, 130842))
     assert (row.selector is None) == (row.pgn != 65535)
     assert row.size == 8 or row.fast
-    assert row.words
+    assert row.signals
     for group in row.groups:
         count = next(field for field in row.fields if field.key == group.count)
         assert (count.bits, count.start % 8) == (8, 0) and row.size == group.start
@@ -145,8 +145,8 @@ def test_a_row_is_complete(row: Pgn) -> None:
 
 
 def test_every_word_is_carried_and_the_words_are_those_of_the_command_line() -> None:
-    assert {word for row in PGNS for word in row.words} == set(WORDS)
-    assert " ".join(WORDS) == (
+    assert {word for row in PGNS for word in row.signals} == set(SIGNALS)
+    assert " ".join(SIGNALS) == (
         "latitude_deg longitude_deg altitude_m course_rad speed_mps heading_rad heading_reference "
         "yaw_rate_radps roll_rad pitch_rad yaw_rad wheel_angle_rad hand_wheel_angle_rad curvature_per_m "
         "commanded_curvature_per_m command_status direction utc_ns fix satellites hdop pdop vdop tdop "
@@ -277,7 +277,7 @@ def word_values(row: Pgn, word: str) -> st.SearchStrategy[flow.Word]:
     ends = [
         (raw * field.scale + field.offset) * field.factor for raw in (lowest, field.limit(row.family) - 1)
     ]
-    allowed = WORDS[word].range
+    allowed = SIGNALS[word].range
     # Rounding to the field's resolution may leave the range that the word allows.
     below = field.resolution() if math.isfinite(allowed.low) and allowed.low != 0 else 0.0
     above = field.resolution() if math.isfinite(allowed.high) and field.resolution() != 1 else below
@@ -291,7 +291,7 @@ def word_values(row: Pgn, word: str) -> st.SearchStrategy[flow.Word]:
 def test_decode_gives_back_what_was_encoded(row: Pgn, data: st.DataObject) -> None:
     given = row.pgn == 60928  # a NAME has every part
     output = {
-        word: data.draw(word_values(row, word)) for word in row.words if given or data.draw(st.booleans())
+        word: data.draw(word_values(row, word)) for word in row.signals if given or data.draw(st.booleans())
     }
     payload = row.layout.decode(row.encode(output), {})
     if payload.keys() != output.keys():
@@ -393,9 +393,9 @@ def test_any_bytes_are_told_and_said_again(row: Pgn, data: st.DataObject) -> Non
     whole = 8 if row.pgn == 60928 else 0  # else what is missing of a NAME would be told as ones
     payload = data.draw(st.binary(min_size=whole, max_size=row.size + 8))
     decoded = row.layout.decode(payload, {})
-    assert set(decoded) <= set(row.words)
+    assert set(decoded) <= set(row.signals)
     for word, value in decoded.items():
-        assert isinstance(value, str) or WORDS[word].range.low <= value <= WORDS[word].range.high
+        assert isinstance(value, str) or SIGNALS[word].range.low <= value <= SIGNALS[word].range.high
     if row.pgn != 65254 or "utc_ns" not in decoded:  # a quarter of the day that contradicts the hour is lost
         again = row.layout.decode(row.encode(decoded), {})
         assert again.keys() == decoded.keys()

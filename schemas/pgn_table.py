@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from tilth.schemas.fields import DEG, KMH, Composed, Field, Group, Layout, Rows
 from tilth.schemas.flow import Word
-from tilth.schemas.words import WORDS
+from tilth.schemas.signals import SIGNALS
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,26 +33,26 @@ class Pgn:
     wish: bool = False  # asks for something: no measurement, from whomever
     decode_only: bool = False  # for people: no measurement is made of it, the fold does not read it
     layout: Layout = field(init=False, repr=False, compare=False)
-    words: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
+    signals: tuple[str, ...] = field(init=False, repr=False, compare=False)  # that it can carry
     position: slice | None = field(init=False, repr=False, compare=False)  # bytes of latitude and longitude
     telling: frozenset[str] = field(init=False, repr=False, compare=False)  # without any of them it is empty
     has_sid: bool = field(init=False, repr=False, compare=False)  # byte 0 is a sequence identifier
 
     def __post_init__(self) -> None:
-        ranges = {key: term.range for key, term in WORDS.items()}
-        measured = frozenset(key for key, term in WORDS.items() if term.measured)
+        ranges = {key: signal.range for key, signal in SIGNALS.items()}
+        measured = frozenset(key for key, signal in SIGNALS.items() if signal.measured)
         layout = Layout(self.fields, self.composed, self.family, self.size, ranges, measured, self.groups)
         keys = {f.key for f in self.fields} | {rule.key for rule in self.composed}
         where = [f for f in self.fields if f.key in ("latitude_deg", "longitude_deg")]
         span = slice(min(f.start for f in where) // 8, max(f.end for f in where) // 8) if where else None
         object.__setattr__(self, "layout", layout)
-        object.__setattr__(self, "telling", keys & measured or keys & WORDS.keys())
-        object.__setattr__(self, "words", tuple(word for word in WORDS if word in keys))
+        object.__setattr__(self, "telling", keys & measured or keys & SIGNALS.keys())
+        object.__setattr__(self, "signals", tuple(key for key in SIGNALS if key in keys))
         object.__setattr__(self, "position", span)
         object.__setattr__(self, "has_sid", any(f.key == "sid" for f in self.fields))
 
     def encode(self, values: Mapping[str, Word], groups: Mapping[str, Rows] | None = None) -> bytes:
-        """Payload of words; what is absent is written as not available. Raises ValueError."""
+        """Payload of signals; what is absent is written as not available. Raises ValueError."""
         if self.manufacturer is not None and self.selector is None:
             values = {**values, "own_of": self.manufacturer, "own_in": MARINE}
         payload = self.layout.encode(values, groups)
@@ -125,7 +125,7 @@ METHOD = {
     7: "manual", 8: "simulated",
 }  # fmt: skip
 # 1 differential, 2 Deere's own, 3 WAAS; 4 SF1, 5 SF2; 6 RTK-X bridges a lost correction; 7 RTK. The encoder
-# writes the first row of a word.
+# writes the first row of a signal.
 STARFIRE_FIX = {
     0: "none", 1: "dgnss", 2: "dgnss", 3: "dgnss", 4: "precise", 5: "precise", 6: "rtk_float", 7: "rtk_fixed",
 }  # fmt: skip

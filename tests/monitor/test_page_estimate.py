@@ -8,18 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from circle import demo_machine
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from stage import estimate
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.unknowns import NAMES, SIX
 from tilth.estimator.results import advice
-from tilth.monitor import words
 from tilth.monitor.json_safe import plain
+from tilth.monitor.page_estimate import advised, page_estimate, priors
 from tilth.schemas import spread
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import PARAMETERS, Status
+from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind
 from tilth.schemas.sentences import advice_sentence
@@ -51,10 +49,10 @@ RIG = plain(pb.Rig.FromString(CHANNEL["/rig"].encode(MACHINE)))
 def test_every_manoeuvre_that_is_ever_advised_is_told_to_a_driver(candidate: advice.Candidate) -> None:
     covariance = np.diag(SD**2)
     covariance[SIX, SIX] = np.diag([0.01, 0.01, 0.01, 0.01, SD[SIX][4], 0.01]) ** 2
-    advised = advice.advise(MACHINE, MEAN, covariance, SPEED, {candidate: TELLING})
-    text = advice_sentence(advised)  # the engineer's
+    found = advice.advise(MACHINE, MEAN, covariance, SPEED, {candidate: TELLING})
+    text = advice_sentence(found)  # the engineer's
     assert f"{candidate.degrees:g}°" in text and "sigma_r is not determined" in text
-    assert words.advised(asdict(advised)) == (
+    assert advised(asdict(found)) == (
         f"Where there is room, {DRIVEN[candidate.manoeuvre].format(candidate.degrees)}: "
         "it would tell more of the rear tyres."
     )
@@ -70,8 +68,8 @@ def test_what_else_is_advised_is_told_as_well() -> None:
         (known, SPEED, "no steering at this speed would tell much more"),
         (np.diag(SD**2), SPEED, "tell more of the front, rear and implement tyres."),
     ):
-        advised = advice.advise(MACHINE, MEAN, covariance, speed, table if speed < 12.0 else {})
-        assert part in words.advised(asdict(advised))
+        found = advice.advise(MACHINE, MEAN, covariance, speed, table if speed < 12.0 else {})
+        assert part in advised(asdict(found))
 
 
 @pytest.mark.parametrize(
@@ -84,48 +82,21 @@ def test_what_else_is_advised_is_told_as_well() -> None:
 def test_the_next_headland_turn_is_told_to_a_driver(kind: AdviceKind, told: str) -> None:
     chirp = Advice(kind, ("C_ai",), (0.3,), manoeuvre="chirp", seconds=10.0, degrees=5.0, after=(0.05,))
     with_turn = replace(chirp, turn_tells="sigma_r", turn_after=0.06)
-    assert f"{told} more of the rear tyres" in words.advised(asdict(with_turn))
-    assert "next headland turn" not in words.advised(asdict(chirp))
+    assert f"{told} more of the rear tyres" in advised(asdict(with_turn))
+    assert "next headland turn" not in advised(asdict(chirp))
 
 
 @pytest.mark.parametrize(
     "sent", [None, {"kind": ""}, {"kind": "later"}, {"kind": "manoeuvre", "manoeuvre": "x"}]
 )
 def test_what_is_no_advice_is_none(sent: Fields | None) -> None:
-    assert words.advised(sent) == ""
-
-
-@pytest.mark.parametrize(
-    ("ratio", "sd", "status", "word"),
-    [
-        (0.6, 0.1, 1, "soft"), (0.6, 0.25, 1, "not known yet"), (0.88, 0.001, 1, "soft"),
-        (0.91, 0.001, 1, "as usual"), (1.0, 0.1, 1, "as usual"), (1.0, 0.25, 1, "not known yet"),
-        (1.09, 0.001, 1, "as usual"), (1.2, 0.01, 1, "firm"), (1.2, 0.1, 1, "as usual"),
-        (2.0, 0.5, 1, "not known yet"), (0.6, 0.1, 0, "not known yet"), (0.6, 0.1, 2, "not known now"),
-        (0.6, 0.1, 3, "withdrawn"), (None, None, 1, "not known yet"),
-    ],
-)  # fmt: skip
-def test_how_the_soil_holds_the_tyres(ratio: float | None, sd: float | None, status: int, word: str) -> None:
-    value = None if ratio is None else 200e3 * ratio
-    within = None if sd is None else spread.WITHIN * sd
-    assert words.ground(value, within, status, 200e3)["word"] == word
-    if word not in ("withdrawn", "not known now"):
-        assert words.ground(value, within, status, None)["word"] == "not known yet"  # of no rig
-
-
-@settings(derandomize=True, deadline=None)
-@given(st.floats(0.01, 100.0), st.floats(1e-4, 3.0))
-def test_a_word_is_said_only_where_all_of_the_interval_agrees(ratio: float, within: float) -> None:
-    low, high = ratio * math.exp(-within), ratio * math.exp(within)
-    word = words.ground(ratio, within, Status.ESTIMATED, 1.0)["word"]
-    assert (word == "soft") == (high < words.SOFT) and (word == "firm") == (low > words.FIRM)
-    assert word != "as usual" or words.USUAL[0] <= low <= high <= words.USUAL[1]
+    assert advised(sent) == ""
 
 
 def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
     came = received()
     before = json.dumps(came)
-    page = words.page_estimate(came, RIG)
+    page = page_estimate(came, RIG)
     sd = [math.sqrt(variance) for variance in came["log_covariance"][::7]]
     for name, within, ours in zip(PARAMETERS, page["within"], sd, strict=True):
         assert within == (None if name == "sigma_r" else pytest.approx(spread.WITHIN * ours, rel=1e-4))
@@ -133,16 +104,16 @@ def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
     assert came["bound"][4] is None and page["known"][4] is None
     assert json.dumps(came) == before
     sds = [prior["log_sd"] for prior in RIG["priors"]]
-    assert [prior["within"] for prior in words.priors(RIG)["priors"]] == pytest.approx(
+    assert [prior["within"] for prior in priors(RIG)["priors"]] == pytest.approx(
         [1.96 * sd for sd in sds], rel=1e-4
     )
 
 
 def test_soft_soil_and_a_contradiction_in_words() -> None:
-    assert [one["word"] for one in words.page_estimate(received(0.6), RIG)["ground"]] == ["soft"] * 3
-    assert [one["word"] for one in words.page_estimate(received(), RIG)["ground"]] == ["as usual"] * 3
+    assert [one["word"] for one in page_estimate(received(0.6), RIG)["ground"]] == ["soft"] * 3
+    assert [one["word"] for one in page_estimate(received(), RIG)["ground"]] == ["as usual"] * 3
     why = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
-    page = words.page_estimate(received(invalid=why), RIG)
+    page = page_estimate(received(invalid=why), RIG)
     assert page["withdrawn"] == [f"Numbers withdrawn: {why}"]
     assert {one["word"] for one in page["ground"]} == {"withdrawn"}
     assert page["advised"] == "" and page["value"] == [None] * 6
@@ -152,7 +123,7 @@ def test_some_numbers_withdrawn_are_named_and_an_invalid_value_is_not_shown() ->
     came = received()
     came["parameters"][1] |= {"status": 3, "reason": "why"}
     came["parameters"][2] |= {"status": 7, "reason": ""}
-    page = words.page_estimate(came, RIG)
+    page = page_estimate(came, RIG)
     assert page["withdrawn"] == [
         "Numbers withdrawn (C_ar): why",
         "Numbers withdrawn (C_ai): the daemon gives no reason",
@@ -168,4 +139,4 @@ def test_numbers_that_no_rig_has_break_nothing(value: float | None, variance: fl
     for one in came["parameters"]:
         one |= {"value": value, "sd": 1e300, "status": 1, "reason": "±" + "9" * 400 + " %"}
     came["bound"] = [1e300, None, -1.0]
-    json.dumps(words.page_estimate(came, RIG), allow_nan=False)
+    json.dumps(page_estimate(came, RIG), allow_nan=False)

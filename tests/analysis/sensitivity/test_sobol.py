@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.analysis.sensitivity.indices import Inputs, dgsm, morris, of_covariance, sobol
+from tilth.analysis.sensitivity.inputs import Inputs, of_covariance
+from tilth.analysis.sensitivity.screening import dgsm, morris
+from tilth.analysis.sensitivity.sobol import sobol
 
 Array = NDArray[np.float64]
 

@@ -1,38 +1,23 @@
-"""Turns the daemon's messages into words for the driver. Pure: JSON of messages in, texts and numbers out.
+"""What the page shows of an estimate: texts and numbers for the driver. Pure: JSON of messages in and out.
 
 Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages keep standard deviations.
 """
 
 import math
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import Any, Final
 
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.reasons import AdviceKind
-from tilth.schemas.sentences import MANOEUVRES
+from tilth.schemas.sentences import MANOEUVRES, soil_words
 from tilth.schemas.spread import WITHIN, even
 
 Fields = dict[str, Any]
 
 
 GROUPS: Final = ("front", "rear", "implement")  # of tyres, in the order of PARAMETERS, twice
-SOFT: Final = 0.9  # of the machine file's stiffness: soft where all of the 95 % is below
-FIRM: Final = 1.1  # firm where all of it is above
-USUAL: Final = (2 / 3, 3 / 2)  # as usual where none of both, and all of it is in here; else not known
 WIDEST: Final = 50.0  # sd of a logarithm that is still a number about anything
 LARGEST: Final = 1.0  # 95 % of a logarithm: beyond, a share says nothing
-
-
-class GroundWord(StrEnum):
-    """How the soil holds a group of tyres, as the page shows it."""
-
-    SOFT = "soft"
-    USUAL = "as usual"
-    FIRM = "firm"
-    NOT_KNOWN_YET = "not known yet"
-    NOT_KNOWN_NOW = "not known now"  # it was, but has grown old
-    WITHDRAWN = "withdrawn"  # something contradicts
 
 
 def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
@@ -49,7 +34,8 @@ def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
         "known": [_share(sd) for sd in estimate["bound"]],
         "determined": estimate["determined"],
         "ground": [
-            ground(values[i], within[i], statuses[i], priors.get(PARAMETERS[i])) for i in range(len(GROUPS))
+            soil_words(values[i], within[i], statuses[i], priors.get(PARAMETERS[i]))
+            for i in range(len(GROUPS))
         ],
         "advised": "" if Status.INVALID in statuses else advised(estimate.get("advised")),
         "withdrawn": withdrawn(statuses, [one["reason"] for one in estimate["parameters"]]),
@@ -81,25 +67,6 @@ def _parameter(one: Fields, variance: float | None) -> tuple[float | None, float
 def priors(rig: Fields) -> Fields:
     """The rig, each prior with the half-width of the 95 % interval of its logarithm beside its sd."""
     return rig | {"priors": [one | {"within": short(WITHIN * one["log_sd"])} for one in rig["priors"]]}
-
-
-def ground(value: float | None, within: float | None, status: int, usual: float | None) -> Fields:
-    """How the soil holds a group of tyres, against the machine file's: a word, and what it rests on."""
-    if status == Status.INVALID:
-        return {"word": GroundWord.WITHDRAWN, "text": ""}
-    if status == Status.STALE:
-        return {"word": GroundWord.NOT_KNOWN_NOW, "text": ""}
-    if status != Status.ESTIMATED or value is None or within is None or not usual:
-        return {"word": GroundWord.NOT_KNOWN_YET, "text": ""}
-    ratio = value / usual
-    low, high = ratio * math.exp(-within), ratio * math.exp(within)
-    text = f"{_percent(ratio)} % of usual (95 %: {_percent(low)} to {_percent(high)} %)"
-    if high < SOFT:
-        return {"word": GroundWord.SOFT, "text": text}
-    if low > FIRM:
-        return {"word": GroundWord.FIRM, "text": text}
-    inside = USUAL[0] <= low and high <= USUAL[1]
-    return {"word": GroundWord.USUAL if inside else GroundWord.NOT_KNOWN_YET, "text": text}
 
 
 def advised(advice: Fields | None) -> str:
@@ -152,10 +119,6 @@ def _share(log_sd: float | None) -> str | None:
     if log_sd is None or not WITHIN * log_sd <= LARGEST:
         return None
     return even(100 * WITHIN * log_sd)
-
-
-def _percent(ratio: float) -> str:
-    return f"{100 * ratio:.0f}"
 
 
 def _and(groups: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The words of decoded messages: every key of `tilth decode --json` and of Message.values."""
+"""The signals of decoded messages: every key of `tilth decode --json` and of Message.values."""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from tilth.schemas.flow import FixType
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
-    """What a word means."""
+class Signal:
+    """What a signal means."""
 
     unit: str
     meaning: str
@@ -25,39 +25,39 @@ _QUARTER = Range(-math.pi / 2 - _ROUNDED, math.pi / 2 + _ROUNDED)
 _DILUTION = Range(0.0, 400.0)
 
 
-def _decoded_only(meaning: str, unit: str = "") -> Term:
-    return Term(unit, meaning, measured=False)
+def _decoded_only(meaning: str, unit: str = "") -> Signal:
+    return Signal(unit, meaning, measured=False)
 
 
-WORDS: dict[str, Term] = {
-    "latitude_deg": Term("deg", "WGS 84, north positive", Range(-90.0, 90.0)),
-    "longitude_deg": Term("deg", "WGS 84, east positive", Range(-180.0, 180.0)),
-    "altitude_m": Term(
+SIGNALS: dict[str, Signal] = {
+    "latitude_deg": Signal("deg", "WGS 84, north positive", Range(-90.0, 90.0)),
+    "longitude_deg": Signal("deg", "WGS 84, east positive", Range(-180.0, 180.0)),
+    "altitude_m": Signal(
         "m", "129029: above the ellipsoid; 65256: above mean sea level", Range(-11_000.0, 100_000.0)
     ),
-    "course_rad": Term("rad", "direction of travel over ground, clockwise from north", _TURN),
-    "speed_mps": Term("m/s", "magnitude, over ground; of 65096 from the wheels", Range(0.0, 200.0)),
-    "heading_rad": Term("rad", "direction of facing, clockwise from north", _TURN),
-    "heading_reference": Term("", "north of heading or course: true | magnetic"),
-    "yaw_rate_radps": Term("rad/s", "positive in a right turn", Range(-10.0, 10.0)),
-    "roll_rad": Term("rad", "positive right side down", _HALF),
-    "pitch_rad": Term("rad", "positive nose up", _QUARTER),
-    "yaw_rad": Term("rad", "of 127257, clockwise from a north that the message does not name"),
-    "wheel_angle_rad": Term("rad", "road wheel (or rudder), positive right", _QUARTER),
-    "hand_wheel_angle_rad": Term("rad", "the driver's wheel, positive right (clockwise)"),
-    "curvature_per_m": Term("1/m", "of the path, positive to the driver's right"),
-    "commanded_curvature_per_m": Term(
+    "course_rad": Signal("rad", "direction of travel over ground, clockwise from north", _TURN),
+    "speed_mps": Signal("m/s", "magnitude, over ground; of 65096 from the wheels", Range(0.0, 200.0)),
+    "heading_rad": Signal("rad", "direction of facing, clockwise from north", _TURN),
+    "heading_reference": Signal("", "north of heading or course: true | magnetic"),
+    "yaw_rate_radps": Signal("rad/s", "positive in a right turn", Range(-10.0, 10.0)),
+    "roll_rad": Signal("rad", "positive right side down", _HALF),
+    "pitch_rad": Signal("rad", "positive nose up", _QUARTER),
+    "yaw_rad": Signal("rad", "of 127257, clockwise from a north that the message does not name"),
+    "wheel_angle_rad": Signal("rad", "road wheel (or rudder), positive right", _QUARTER),
+    "hand_wheel_angle_rad": Signal("rad", "the driver's wheel, positive right (clockwise)"),
+    "curvature_per_m": Signal("1/m", "of the path, positive to the driver's right"),
+    "commanded_curvature_per_m": Signal(
         "1/m", "that the steering is asked for, positive to the driver's right"
     ),
-    "command_status": Term("", "of a guidance command: intended | not_intended to steer"),
-    "direction": Term("", "of travel: forward | reverse"),
-    "utc_ns": Term("ns", "since 1970, UTC"),
-    "fix": Term("", " | ".join(fix.value for fix in FixType)),
-    "satellites": Term("", "used in the solution"),
-    "hdop": Term("", "horizontal dilution of precision", _DILUTION),
-    "pdop": Term("", "dilution of precision in three dimensions", _DILUTION, measured=False),
-    "vdop": Term("", "vertical dilution of precision", _DILUTION, measured=False),
-    "tdop": Term("", "dilution of precision in time", _DILUTION, measured=False),
+    "command_status": Signal("", "of a guidance command: intended | not_intended to steer"),
+    "direction": Signal("", "of travel: forward | reverse"),
+    "utc_ns": Signal("ns", "since 1970, UTC"),
+    "fix": Signal("", " | ".join(fix.value for fix in FixType)),
+    "satellites": Signal("", "used in the solution"),
+    "hdop": Signal("", "horizontal dilution of precision", _DILUTION),
+    "pdop": Signal("", "dilution of precision in three dimensions", _DILUTION, measured=False),
+    "vdop": Signal("", "vertical dilution of precision", _DILUTION, measured=False),
+    "tdop": Signal("", "dilution of precision in time", _DILUTION, measured=False),
     "desired_mode": _decoded_only("of a GNSS receiver: 1D | 2D | 3D | auto"),
     "actual_mode": _decoded_only("as desired_mode"),
     "gnss_system": _decoded_only("of the solution: gps | glonass | gps_glonass | …"),
