@@ -311,8 +311,7 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     record_builder.clock_stepped(state.record)  # poses and wheel angles so far have the value before
     state.previous_run = {}
     _apply(state, directive, t_ns, out)
-    told = notice(NoticeCode.FOUND, text=acceptance(machine, accepted))
-    _publish_event(state, t_ns, EventKind.ACCEPTED, told, out)
+    _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(machine, accepted), out)
     return out
 
 

@@ -7,7 +7,6 @@ of another rig. What a run takes from it stands as the first state in its log.
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,9 +17,9 @@ from tilth.estimator.warm_start import SavedPosterior
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, EventKind
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import NoticeCode, Report, notice
+from tilth.schemas.notices import Notice, NoticeCode, Report, notice, reasoned
 from tilth.schemas.reasons import Reason
-from tilth.schemas.sentences import accept_or_put_back, sentence
+from tilth.schemas.sentences import notice_sentence
 
 FORMAT: Final = 2
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
@@ -39,7 +38,7 @@ class KeptRun(NamedTuple):
     elapsed_s: float  # since then
     accepted: list[Accepted]  # in place of values of the machine file
     moved: list[Moved]  # found, and neither accepted nor put back
-    told: list[str]  # the same in words
+    told: list[Notice]  # the same
 
 
 class NotUsable(Exception):
@@ -87,10 +86,9 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
         moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
-        told = [
-            f"an earlier run found: {sentence(one.reason)}. {accept_or_put_back(one)}"
-            for one in (carried.diagnosis for carried in moved)
-        ]
+        told = [reasoned(one.diagnosis.reason, NoticeCode.MOVED_EARLIER) for one in moved]
+        for earlier in told:
+            notice_sentence(earlier)  # what has no words is damaged
     except NotUsable:
         raise
     except Exception as error:  # anything may stand there, and a run begins whatever it is
@@ -132,13 +130,12 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     used = [method for method, refusal in refusals.items() if refusal is None]
     for method, refusal in refusals.items():
         if refusal is not None:
-            refused = replace(notice(NoticeCode.METHOD_REFUSED, method=method), reason=refusal)
-            report(EventKind.WARM_START, refused)
+            report(EventKind.WARM_START, reasoned(refusal, NoticeCode.METHOD_REFUSED, method=method))
     if used:
         resumed = notice(NoticeCode.RESUMED, methods=", ".join(used), hours=found.elapsed_s / 3600.0)
         report(EventKind.WARM_START, resumed)
     for one in found.accepted:
         report(EventKind.ACCEPTED, notice(NoticeCode.ACCEPTED_EARLIER, what=one.what))
-    for text in found.told:
-        report(EventKind.MOVED, notice(NoticeCode.FOUND, text=text))
+    for earlier in found.told:
+        report(EventKind.MOVED, earlier)
     return bool(used or found.accepted or found.moved)

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from tilth.schemas.readable import readable
@@ -15,7 +15,6 @@ class NoticeCode(StrEnum):
     """What a notice says; `sentences/notices.py` has a row for each, whose fields name its values."""
 
     TEXT = "text"  # words from elsewhere: of an old log, of a person
-    FOUND = "found"  # words of a check of the rig
     REASON = "reason"
     FLAG = "flag"  # a flag of poses begins
     OVER = "over"  # and ends
@@ -50,6 +49,16 @@ class NoticeCode(StrEnum):
     NOT_HEARD = "not_heard"
     NO_WHEEL_ANGLE = "no_wheel_angle"
     WITHOUT_RTK = "without_rtk"
+
+    # The machine file, and what has been moved; each with the reason that its diagnosis gives.
+    CONTRADICTED = "contradicted"
+    FITS_AGAIN = "fits_again"
+    MOVED = "moved"
+    MOVED_EARLIER = "moved_earlier"
+    MOVED_BACK = "moved_back"
+    TYRES_CHANGED = "tyres_changed"
+    TYRES_BACK = "tyres_back"
+    ACCEPTED = "accepted"
 
     # Estimators.
     SOIL_CHANGED = "soil_changed"
@@ -145,14 +154,9 @@ def notice(code: NoticeCode, *parts: Notice, **values: Value) -> Notice:
     return Notice(code, shown, parts)
 
 
-def reasoned(reason: Reason) -> Notice:
-    """Of a reason alone."""
-    return Notice(NoticeCode.REASON, reason=reason)
-
-
-def found(text: str, reason: Reason) -> Notice:
-    """Of a diagnosis: its words, and the reason in them."""
-    return Notice(NoticeCode.FOUND, {"text": readable(text)}, reason=reason)
+def reasoned(reason: Reason, code: NoticeCode = NoticeCode.REASON, **values: Value) -> Notice:
+    """With a reason, or of a reason alone."""
+    return replace(notice(code, **values), reason=reason)
 
 
 def in_words(text: str) -> Notice:

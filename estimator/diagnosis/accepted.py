@@ -6,8 +6,8 @@ from tilth.estimator.rig.adjustments import Amount
 from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESIS, WHEEL, WHEEL_SPEED, changed
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.notices import Notice, NoticeCode, reasoned
 from tilth.schemas.reasons import Reason
-from tilth.schemas.sentences import sentence
 
 
 def corrected(machine: Machine, accepted: Iterable[Accepted]) -> Machine:
@@ -47,8 +47,8 @@ def _receiver_line(receiver: Receiver) -> str:
     return f"{receiver.mount.value} position = [{position}], survey_sd = {receiver.survey_sd:.3f}"
 
 
-def acceptance(machine: Machine, accepted: Accepted) -> str:
+def acceptance(machine: Machine, accepted: Accepted) -> Notice:
     """For the event; machine: with the value."""
     row = HYPOTHESIS[accepted.what]
-    what = sentence(Reason(row.code, (row.key, row.name), (*accepted.amounts, *accepted.sds)))
-    return f"accepted: {what}; for the machine file: {line_of(machine, accepted.what)}"
+    what = Reason(row.code, (row.key, row.name), (*accepted.amounts, *accepted.sds))
+    return reasoned(what, NoticeCode.ACCEPTED, line=line_of(machine, accepted.what))

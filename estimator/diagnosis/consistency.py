@@ -24,12 +24,11 @@ from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.tuning import tuned
-from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
+from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import found as found_notice
+from tilth.schemas.notices import NoticeCode, reasoned
 from tilth.schemas.reasons import Code, Reason
-from tilth.schemas.sentences import contradiction_event, sentence
 
 CONTRADICTION: Final = FlagKind.CONTRADICTION
 
@@ -262,16 +261,15 @@ def _update(
             del state.cases[key]
             continue
         state.confirmed = False
-        told = contradiction_event(case.diagnosis, sentence(one.reason))
-        directive.events.append((CONTRADICTION, found_notice(told, one.reason)))
+        directive.events.append((CONTRADICTION, reasoned(one.reason, NoticeCode.CONTRADICTED)))
     for key, case in list(state.cases.items()):
         if key in found or not case.missing(CONSISTENCY.poses_to_end):
             continue
         del state.cases[key]
         if not case.isolated:
             continue
-        over = replace(case.diagnosis, state=DiagnosisState.CLEARED)
-        directive.events.append((CONTRADICTION, found_notice(contradiction_event(over, ""), over.reason)))
+        over = reasoned(case.diagnosis.reason, NoticeCode.FITS_AGAIN, key=case.diagnosis.key)
+        directive.events.append((CONTRADICTION, over))
         if case.lasted - CONSISTENCY.poses_to_end >= CONSISTENCY.poses_to_forget:
             directive.reset = True
             if case.latest.code not in OF_OPEN_NUMBERS:  # it has learned of it as well

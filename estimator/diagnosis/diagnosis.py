@@ -17,13 +17,11 @@ from tilth.estimator.pose import receiver_checks, standing
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.standing import StandingCheck
-from tilth.schemas.diagnosis import Diagnosis
+from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Estimate, EventKind, Flag, Pose
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import found as found_notice
-from tilth.schemas.notices import reasoned
+from tilth.schemas.notices import Notice, NoticeCode, reasoned
 from tilth.schemas.reasons import Code
-from tilth.schemas.sentences import moved_event, sentence
 
 
 @dataclass(slots=True)
@@ -78,9 +76,20 @@ def look_at_places(state: RigDiagnosis, aligner: Aligner, pose: Pose, t_ns: int)
         directive = Directive(exclude=watch.left_out(state.watch), reset=True, reset_open=True)
     tyres = wheel_speed.observe(state.watch.wheel_speed, aligner, pose)  # no estimate uses the wheels' speed
     for one in (*found, *([tyres] if tyres else [])):
-        told = moved_event(one, sentence(one.reason), t_ns)
-        directive.events.append((EventKind.MOVED, found_notice(told, one.reason)))
+        directive.events.append((EventKind.MOVED, _moved(one, t_ns)))
     return directive
+
+
+def _moved(one: Diagnosis, t_ns: int) -> Notice:
+    """That it has been moved, or is back. t_ns: now."""
+    reason, back = one.reason, one.state is DiagnosisState.CLEARED
+    if one.code is Code.TYRES_CHANGED:
+        if back:
+            return reasoned(reason, NoticeCode.TYRES_BACK, key=one.key)
+        return reasoned(reason, NoticeCode.TYRES_CHANGED)
+    if back:
+        return reasoned(reason, NoticeCode.MOVED_BACK, what=one.of[0])
+    return reasoned(reason, NoticeCode.MOVED, ago_min=max(t_ns - one.since_ns, 0) * 1e-9 / 60.0)
 
 
 def look_at_file(

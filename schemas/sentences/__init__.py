@@ -4,9 +4,6 @@ from tilth.schemas.sentences.advice import MANOEUVRES as MANOEUVRES
 from tilth.schemas.sentences.advice import advice_sentence as advice_sentence
 from tilth.schemas.sentences.advice import combination_words as combination_words
 from tilth.schemas.sentences.diagnosis import DIAGNOSES as DIAGNOSES
-from tilth.schemas.sentences.diagnosis import accept_or_put_back as accept_or_put_back
-from tilth.schemas.sentences.diagnosis import contradiction_event as contradiction_event
-from tilth.schemas.sentences.diagnosis import moved_event as moved_event
 from tilth.schemas.sentences.notices import event_sentence as event_sentence
 from tilth.schemas.sentences.notices import notice_sentence as notice_sentence
 from tilth.schemas.sentences.reasons import SENTENCES as SENTENCES

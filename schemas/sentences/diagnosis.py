@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.reasons import Code
 from tilth.schemas.spread import interval, plus_minus
 
@@ -145,28 +144,3 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
     ),
     Code.TYRES_CHANGED: _tyres,
 }
-
-
-def contradiction_event(diagnosis: Diagnosis, text: str) -> str:
-    """That it begins, or ends. text: its sentence."""
-    if diagnosis.state is DiagnosisState.CLEARED:
-        return f"{diagnosis.key}: over; the data fit the machine file again"
-    stop = "" if text.endswith((".", "?", "!")) else "."
-    return f"{text}{stop} Until this is over no number is given"
-
-
-def moved_event(diagnosis: Diagnosis, text: str, t_ns: int) -> str:
-    """That it has been moved, or is back. text: its sentence; t_ns: now."""
-    if diagnosis.code is Code.TYRES_CHANGED:
-        if diagnosis.state is DiagnosisState.CLEARED:
-            return f"the tyres' radius is what it was before: {diagnosis.key}"
-        return f"{text}. No estimate uses it; accept it as it is now ({diagnosis.of[0]})"
-    if diagnosis.state is DiagnosisState.CLEARED:
-        return f"{diagnosis.of[0]} is where it was before, and is used again"
-    minutes = max(t_ns - diagnosis.since_ns, 0) * 1e-9 / 60.0
-    return f"{text}; {minutes:.0f} min ago. {accept_or_put_back(diagnosis)}"
-
-
-def accept_or_put_back(diagnosis: Diagnosis) -> str:
-    """What the operator is asked for."""
-    return f"It is not used: accept it as it is now ({' or '.join(diagnosis.of)}), or put it back"

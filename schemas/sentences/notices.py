@@ -10,9 +10,10 @@ from tilth.schemas.notices import Notice, NoticeCode
 from tilth.schemas.sentences.reasons import ENGLISH, sentence
 
 Words = str | Callable[..., str]
-"""A template of a notice's values, {parts}, {listed} and {reason}; or what makes words of the values."""
-MADE: Final = frozenset({"parts", "listed", "reason"})
-"""Fields of a template that are no values."""
+"""A template of a notice's values and of MADE; or what makes words of the values."""
+MADE: Final = frozenset({"parts", "listed", "reason", "ended", "which"})
+"""Fields of a template that are no values: `ended` is the reason with its full stop, `which` what a
+diagnosis is of."""
 
 DAY_S: Final = 86_400.0
 
@@ -117,9 +118,10 @@ def _clock_wrong(*, ahead_s: float) -> str:
     return f"the computer's clock is {size} {'less' if ahead_s > 0 else 'more'} than UTC; the log says so"
 
 
+_ACCEPT: Final = "It is not used: accept it as it is now ({which}), or put it back"
+
 NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TEXT: "{text}",
-    NoticeCode.FOUND: "{text}",
     NoticeCode.REASON: "{reason}",
     NoticeCode.FLAG: _flag,
     NoticeCode.OVER: "{of}: over",
@@ -179,6 +181,14 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.NOT_HEARD: "not heard: {mounts}",
     NoticeCode.NO_WHEEL_ANGLE: "not heard: the wheel angle",
     NoticeCode.WITHOUT_RTK: "without RTK fix: {mounts}",
+    NoticeCode.CONTRADICTED: "{ended} Until this is over no number is given",
+    NoticeCode.FITS_AGAIN: "{key}: over; the data fit the machine file again",
+    NoticeCode.MOVED: "{reason}; {ago_min:.0f} min ago. " + _ACCEPT,
+    NoticeCode.MOVED_EARLIER: "an earlier run found: {reason}. " + _ACCEPT,
+    NoticeCode.MOVED_BACK: "{what} is where it was before, and is used again",
+    NoticeCode.TYRES_CHANGED: "{reason}. No estimate uses it; accept it as it is now ({which})",
+    NoticeCode.TYRES_BACK: "the tyres' radius is what it was before: {key}",
+    NoticeCode.ACCEPTED: "accepted: {reason}; for the machine file: {line}",
     NoticeCode.SOIL_CHANGED: (
         "the soil holds the tyres differently{listed}: what was learned of it before is given up"
     ),
@@ -284,11 +294,14 @@ def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
         made: Callable[..., str] = words
         return made(**notice.values)
     parts = ", ".join(notice_sentence(part, language) for part in notice.parts)
+    reason = sentence(notice.reason, language)
     return words.format(
         **notice.values,
         parts=parts,
         listed=f" ({parts}, 95 %)" if parts else "",
-        reason=sentence(notice.reason, language),
+        reason=reason,
+        ended=reason if reason.endswith((".", "?", "!")) else f"{reason}.",
+        which=" or ".join(notice.reason.of[1:]) if notice.reason is not None else "",
     )
 
 

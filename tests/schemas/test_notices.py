@@ -15,7 +15,7 @@ from tilth.schemas.flow import Event, EventKind, FlagKind
 from tilth.schemas.notices import Notice, NoticeCode, in_words, notice, reasoned
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Code, Reason
-from tilth.schemas.sentences import event_sentence, notice_sentence
+from tilth.schemas.sentences import event_sentence, notice_sentence, sentence
 from tilth.schemas.sentences import notices as words
 
 ENCODING = "application/protobuf;tilth.Event"
@@ -38,6 +38,8 @@ WORDS = {
     "by",
     "ahead",
     "behind",
+    "key",
+    "line",
 }
 
 
@@ -68,7 +70,7 @@ def _made() -> Iterator[tuple[str, NoticeCode, set[str]]]:
             if not isinstance(node, ast.Call) or any(word.arg is None for word in node.keywords):
                 continue
             called = ast.unparse(node.func)
-            if called not in ("notice", "self._event"):
+            if called not in ("notice", "reasoned", "self._event"):
                 continue
             names = {str(word.arg) for word in node.keywords}
             names |= {"bus"} if called == "self._event" else set()  # of logger.can.buses
@@ -152,6 +154,40 @@ def test_names_of_files_can_be_encoded() -> None:
 
 def test_a_reason_is_told_in_its_words() -> None:
     assert notice_sentence(reasoned(Reason(Code.FIT_DROPPED))).startswith("a fit was not ready")
+
+
+LEVER = Reason(
+    Code.RECEIVER_MOVED, ("receiver.position", "implement_rear", "a drawbar"), (0.2, 0.1, 0.01, 0.01)
+)
+MOVED = sentence(LEVER)
+ASKED = "It is not used: accept it as it is now (implement_rear or a drawbar), or put it back"
+TYRES = Reason(Code.TYRES_CHANGED, ("tractor.wheel_speed_factor", "wheel_speed"), (1.0, 1.04, 0.005, 0.005))
+CHANGED = sentence(TYRES)
+OPPOSITE = Reason(Code.WHEEL_OPPOSITE, ("wheel_angle.sign",))
+
+
+@pytest.mark.parametrize(
+    ("told", "text"),
+    [
+        (reasoned(OPPOSITE, NoticeCode.CONTRADICTED),
+         f"{sentence(OPPOSITE)} Until this is over no number is given"),  # it ends with a "?"
+        (reasoned(LEVER, NoticeCode.CONTRADICTED), f"{MOVED}. Until this is over no number is given"),
+        (reasoned(OPPOSITE, NoticeCode.FITS_AGAIN, key="wheel_angle.sign"),
+         "wheel_angle.sign: over; the data fit the machine file again"),
+        (reasoned(LEVER, NoticeCode.MOVED, ago_min=1.4), f"{MOVED}; 1 min ago. {ASKED}"),
+        (reasoned(LEVER, NoticeCode.MOVED_EARLIER), f"an earlier run found: {MOVED}. {ASKED}"),
+        (reasoned(LEVER, NoticeCode.MOVED_BACK, what="implement_rear"),
+         "implement_rear is where it was before, and is used again"),
+        (reasoned(TYRES, NoticeCode.TYRES_CHANGED),
+         f"{CHANGED}. No estimate uses it; accept it as it is now (wheel_speed)"),
+        (reasoned(TYRES, NoticeCode.TYRES_BACK, key="tractor.wheel_speed_factor"),
+         "the tyres' radius is what it was before: tractor.wheel_speed_factor"),
+        (reasoned(LEVER, NoticeCode.ACCEPTED, line="position = [1.0]"),
+         f"accepted: {MOVED}; for the machine file: position = [1.0]"),
+    ],
+)  # fmt: skip
+def test_what_a_diagnosis_tells(told: Notice, text: str) -> None:
+    assert notice_sentence(told) == text
 
 
 def test_kinds_are_listed() -> None:

@@ -21,6 +21,7 @@ from tilth.estimator.rig.numbers import DRAWBAR, HYPOTHESES, HYPOTHESIS, PAIRS, 
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Mount, Pose
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.traffic import simulate
 
 Array = NDArray[np.float64]
@@ -295,7 +296,7 @@ def test_a_value_in_place_of_the_machine_files(name: str) -> None:
             assert changed == {name: pytest.approx(amounts)}
     assert demo_machine() == MACHINE  # the old one is as it was
     assert HYPOTHESIS[name].key and "sd = " in line_of(new, name)
-    assert line_of(new, name) in acceptance(new, one)
+    assert line_of(new, name) in notice_sentence(acceptance(new, one))
 
 
 def test_what_is_not_known_is_not_accepted() -> None:

@@ -19,7 +19,7 @@ from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.diagnosis import DiagnosisState
 from tilth.schemas.flow import Accepted, Origin, VehicleSpeed
 from tilth.schemas.machine import Machine, Quantity
-from tilth.schemas.sentences import sentence
+from tilth.schemas.sentences import notice_sentence, sentence
 
 
 def with_other_tyres(drive: SlippingDrive, change: float) -> SlippingDrive:
@@ -183,7 +183,7 @@ def test_an_accepted_factor_stands_in_the_machine_file(machine: Machine) -> None
     assert new.model_copy(update={"tractor": machine.tractor}) == machine
     assert HYPOTHESIS[WHEEL_SPEED].key == "tractor.wheel_speed_factor"
     assert line_of(new, WHEEL_SPEED) == "[tractor] wheel_speed_factor = { value = 0.9800, sd = 0.0060 }"
-    assert "changed by 4.1 ± 1.5 % (95 %)" in acceptance(new, one)
+    assert "changed by 4.1 ± 1.5 % (95 %)" in notice_sentence(acceptance(new, one))
 
 
 def test_the_fold_says_it_and_learns_on() -> None:
