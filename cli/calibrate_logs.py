@@ -185,15 +185,11 @@ def _show(found: Calibrated) -> None:
     for row in found.rows():
         table.add_row(*row)
     console.print(table)
-    for sentence in found.sentences():
-        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
-    for receiver in found.receivers:
-        console.print(f"{receiver.words}.", highlight=False, markup=False, soft_wrap=True)
-    for sentence in (*residuals.sentences(found.found.fit.left), found.steering_words):
-        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+    told = [*found.sentences(), *(f"{receiver.words}." for receiver in found.receivers)]
+    told += [*residuals.sentences(found.found.fit.left), found.steering_words]
     for one in found.verdict.numbers:
         if one.why_not:
             verb = "not identifiable" if one.status == NOT_IDENTIFIABLE else "weakly identified"
-            console.print(
-                f"{one.number.words}: {verb}; better by: {one.why_not}", highlight=False, soft_wrap=True
-            )
+            told.append(f"{one.number.words}: {verb}; better by: {one.why_not}")
+    for text in told:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     runs = chosen(args.log, args.run)
     if args.dest.stat().st_dev == args.log.stat().st_dev:
         _say(f"{args.dest} is on the same disk as the logs")
-    status, not_noted = 0, ""
+    left, not_noted = False, ""
     for one in runs:
         try:
             done = offload(one, args.dest.resolve(), lambda name: print(f"copying {name}"))
@@ -45,21 +45,18 @@ def run(args: argparse.Namespace) -> int:
             return 1
         except (ValueError, OSError) as error:
             _say(f"left: {one.name}: {error}")
-            status = 1
+            left = True
             continue
-        for why in done.not_copied:
-            _say(f"left: {why}")
-            status = 1
-        for what in done.damaged:
-            _say(f"copied as it is: {what}")
-            status = 1
-        not_noted = not_noted or done.not_noted
+        told = [f"left: {why}" for why in done.not_copied]
+        told += [f"copied as it is: {what}" for what in done.damaged]
+        for text in told:
+            _say(text)
+        left, not_noted = left or bool(told), not_noted or done.not_noted
         files = "file" if done.copied == 1 else "files"
         print(f"{one.name}: {done.copied} {files} copied and compared, {done.there} there already")
     if not_noted:
-        why = f"{not_noted}; it cannot be noted there what was copied"
-        _say(why)
-    return status
+        _say(f"{not_noted}; it cannot be noted there what was copied")
+    return 1 if left else 0
 
 
 def chosen(folder: Path, names: list[str] | None) -> list[StoredRun]:

@@ -1,14 +1,20 @@
 """Compares what a replay computes with what was logged live, byte for byte."""
 
 from collections import deque
-from typing import Any
+from typing import Any, Final
 
 from google.protobuf.message import Message as ProtoMessage
 
 from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import CHANNEL, CHANNELS, without_wording
+from tilth.schemas.notices import OF_FOLD, NoticeCode
+from tilth.schemas.proto import tilth_pb2 as pb
 
-IDENTICAL = frozenset(channel.topic for channel in CHANNELS if channel.identical)
+EVENT: Final = "/event"
+IDENTICAL: Final = frozenset(channel.topic for channel in CHANNELS if channel.identical)
+COMPARED: Final = IDENTICAL | {EVENT}
+"""Of events, those that the fold makes; all others are of a daemon, or of a person."""
+CODES: Final = frozenset(NoticeCode)
 
 _Row = tuple[int, bytes]  # t_ns, payload
 
@@ -18,7 +24,8 @@ class Comparison:
 
     Topic by topic: how results of several frames interleave in the file is not compared. A frame and its
     results stand in one file, so that nothing waits beyond the end of a log. Behind a gap nothing can be
-    compared until a stored state tells what the fold was: `unverifiable` counts those results.
+    compared until a stored state tells what the fold was: `unverifiable` counts those results. Events of logs
+    that have no codes, or others than this version, are not compared.
     """
 
     def __init__(self) -> None:
@@ -27,21 +34,33 @@ class Comparison:
         self.unverifiable = 0
         self._on_track = True
         self._any_live = False  # whether a result was in the logs
-        self._live: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
-        self._again: dict[str, deque[_Row]] = {topic: deque() for topic in IDENTICAL}
+        self._topics = set(COMPARED)
+        self._live: dict[str, deque[_Row]] = {topic: deque() for topic in COMPARED}
+        self._again: dict[str, deque[_Row]] = {topic: deque() for topic in COMPARED}
 
     def logged(self, row: Logged) -> None:
         """Take a result that was logged live."""
-        self._any_live = self._any_live or row.topic in IDENTICAL
+        if row.topic == EVENT and not self._tells(row.data):
+            return
+        self._any_live = self._any_live or row.topic in self._topics
         if not self._on_track:
-            self.unverifiable += row.topic in IDENTICAL
+            self.unverifiable += row.topic in self._topics
             return
         self._take(row.topic, (row.t_ns, row.data), self._live, self._again)
 
     def recomputed(self, topic: str, t_ns: int, data: bytes) -> None:
         """Take a result of the replay."""
-        if topic in IDENTICAL and self._on_track:
+        if topic in self._topics and self._on_track and (topic != EVENT or _of_fold(data)):
             self._take(topic, (t_ns, data), self._again, self._live)
+
+    def _tells(self, data: bytes) -> bool:
+        """Whether a logged event is one of the fold's."""
+        code = pb.Event.FromString(data).notice.code
+        if code not in CODES:
+            self._topics.discard(EVENT)
+            self._again[EVENT].clear()
+            self._live[EVENT].clear()
+        return EVENT in self._topics and _of_fold(data)
 
     def lose_track(self) -> None:
         """Messages are missing in the log: frames, results, or what else enters the fold."""
@@ -55,7 +74,7 @@ class Comparison:
 
     def finish(self, truncated: bool) -> None:
         """At the end of each log. One that was cut may lack results of its last frames."""
-        for topic in sorted(IDENTICAL):
+        for topic in sorted(COMPARED):
             live, again = self._live[topic], self._again[topic]
             if live and not self.difference:
                 self.difference = f"{topic}: logged at {_seconds(live[0][0])}, not computed again"
@@ -84,6 +103,10 @@ class Comparison:
         if row != opposite:
             live, again = (row, opposite) if waiting_here is self._live else (opposite, row)
             self.difference = _difference(topic, live, again)
+
+
+def _of_fold(event: bytes) -> bool:
+    return pb.Event.FromString(event).notice.code in OF_FOLD
 
 
 def _difference(topic: str, live: _Row, again: _Row) -> str:

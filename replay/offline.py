@@ -16,7 +16,7 @@ from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import ReplayedFits
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, machine_sha256
-from tilth.replay.compare import IDENTICAL, Comparison
+from tilth.replay.compare import COMPARED, Comparison
 from tilth.replay.readers.any_log import open_log, place
 from tilth.replay.readers.log import EmptyLog, Gap, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
@@ -38,7 +38,7 @@ from tilth.schemas.sentences import event_sentence, notice_sentence
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, ADDRESSES_TOPIC})
 """What enters the fold besides frames and stored states."""
-WITH_RESULTS = IDENTICAL | INPUTS
+WITH_RESULTS = COMPARED | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
     {EventKind.FAULT, EventKind.CLOCK_STEP, EventKind.OTHER_CLOCK, *receiver_checks.KINDS}

@@ -6,6 +6,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Final
 
 from tilth.schemas.readable import readable
 from tilth.schemas.reasons import Reason
@@ -129,6 +130,19 @@ class NoticeCode(StrEnum):
     TOO_FAST = "too_fast"
     TOO_SLOW = "too_slow"
     WHEELS_NOT_HEARD = "wheels_not_heard"
+
+
+OF_FOLD: Final = frozenset({
+    NoticeCode.REASON, NoticeCode.FLAG, NoticeCode.OVER,
+    NoticeCode.SILENCE, NoticeCode.STEPPED_BACK, NoticeCode.COARSE_STAMPS, NoticeCode.BUS_CLOCK_APART,
+    NoticeCode.BUSES_APART, NoticeCode.STRAY_FRAMES, NoticeCode.ADDRESSES_KEPT, NoticeCode.ADDRESSES_DOUBTED,
+    NoticeCode.ADDRESSES_CONFIRMED, NoticeCode.ADDRESSES_CHANGED, NoticeCode.RECOGNISED, NoticeCode.NONE_FITS,
+    NoticeCode.SEVERAL_FIT, NoticeCode.TWIN_NAME, NoticeCode.POSITIONS_REPEATED, NoticeCode.POSITIONS_SLOW,
+    NoticeCode.STANDS_STILL, NoticeCode.MOVES_AGAIN, NoticeCode.CONTRADICTED, NoticeCode.FITS_AGAIN,
+    NoticeCode.MOVED, NoticeCode.MOVED_BACK, NoticeCode.TYRES_CHANGED, NoticeCode.TYRES_BACK,
+    NoticeCode.ACCEPTED, NoticeCode.SOIL_CHANGED, NoticeCode.SOIL_CHANGING, NoticeCode.STIFFNESSES_ANEW,
+})  # fmt: skip
+"""Of events that the fold makes: a replay of the same frames tells the same."""
 
 
 Value = float | str

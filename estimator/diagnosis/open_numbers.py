@@ -80,10 +80,9 @@ def allowed(machine: Machine) -> Array:
     _, stated = unknowns.prior(machine)
     out = np.array([math.hypot(stated[AT[row.name]], row.allowed_sd) for row in OPEN])
     for k, row in enumerate(OPEN):
-        if row.by_cg:
-            body = machine.tractor if row.key.startswith("tractor.") else machine.implement
+        if row.cg_of:
             length = 1.0 if row.value is None else row.value(machine)
-            out[k] = math.hypot(out[k], body.cg_sd / length)
+            out[k] = math.hypot(out[k], getattr(machine, row.cg_of).cg_sd / length)
     return out
 
 

@@ -63,7 +63,7 @@ class RigNumber:
     confirming_sd: float = 0.0  # a gross error would show: only then can a file be confirmed
     gross: float = 0.0  # m, or a share: a gross error to be ruled out if all other numbers are right
     in_rows: bool = False  # straight driving tells it, too
-    by_cg: bool = False  # it is counted from a CG, whose place has an sd of its own
+    cg_of: str = ""  # of BODIES: it is counted from its CG, whose place has an sd of its own
 
     # As the watch compares what was with what is.
     watch_sd: float = 0.0  # prior
@@ -132,27 +132,27 @@ NUMBERS: Final = (
     ),
     RigNumber(
         "a", "tractor.a", added("tractor", "a"), value=_length("tractor", "a"),
-        open_sd=0.4, allowed_sd=0.03, confirming_sd=0.28, gross=1.0, by_cg=True,
+        open_sd=0.4, allowed_sd=0.03, confirming_sd=0.28, gross=1.0, cg_of="tractor",
     ),
     RigNumber(
         "b", "tractor.b", added("tractor", "b"), value=_length("tractor", "b"),
-        open_sd=0.4, allowed_sd=0.03, confirming_sd=0.15, by_cg=True,
+        open_sd=0.4, allowed_sd=0.03, confirming_sd=0.15, cg_of="tractor",
     ),
     RigNumber(
         "c", "tractor.c", added("tractor", "c"), "tractor.c, CG to hitch",
         prior_sd=0.20, wanted_sd=0.03, floor_sd=0.008, not_weaved_sd=0.055, drive=FOLD, tape=_PIN,
-        value=_length("tractor", "c"), open_sd=0.4, allowed_sd=0.03, confirming_sd=0.08, by_cg=True,
+        value=_length("tractor", "c"), open_sd=0.4, allowed_sd=0.03, confirming_sd=0.08, cg_of="tractor",
         watch_sd=0.3, drift_sd=0.01,
     ),
     RigNumber(
         "d", "implement.d", added("implement", "d"), "implement.d, hitch to CG",
         prior_sd=0.20, wanted_sd=0.02, floor_sd=0.008, not_weaved_sd=0.025, drive=FOLD, tape=_AXLE,
-        value=_length("implement", "d"), open_sd=0.4, allowed_sd=0.02, confirming_sd=0.08, by_cg=True,
+        value=_length("implement", "d"), open_sd=0.4, allowed_sd=0.02, confirming_sd=0.08, cg_of="implement",
         watch_sd=0.3, drift_sd=0.01,
     ),
     RigNumber(
         "e", "implement.e", added("implement", "e"),
-        open_sd=0.5, allowed_sd=0.03, confirming_sd=0.2, by_cg=True,
+        open_sd=0.5, allowed_sd=0.03, confirming_sd=0.2, cg_of="implement",
     ),
     RigNumber(
         "wheel_zero", "wheel_angle.zero or offset", added("wheel_angle", "zero", math.degrees),

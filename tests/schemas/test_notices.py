@@ -12,7 +12,7 @@ from tilth.client.received import event_of
 from tilth.deploy.imports import sources
 from tilth.schemas.channels import CHANNEL, without_wording
 from tilth.schemas.flow import Event, EventKind, FlagKind
-from tilth.schemas.notices import Notice, NoticeCode, in_words, notice, reasoned
+from tilth.schemas.notices import OF_FOLD, Notice, NoticeCode, in_words, notice, reasoned
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import event_sentence, notice_sentence, sentence
@@ -87,6 +87,21 @@ def test_every_notice_that_is_made_has_the_values_that_its_words_want() -> None:
         assert names <= {name.rstrip("?") for name in wanted}, place
         seen.add(code)
     assert len(seen) > 0.8 * len(NoticeCode)
+
+
+def test_the_codes_of_the_fold_are_those_that_it_makes() -> None:
+    """A replay compares its events by them."""
+    fold = {"tilth.estimator", "tilth.schemas.identity"}
+    made = {
+        code
+        for module, source in sources().items()
+        if f"tilth.{module}".startswith(tuple(fold)) and not module.startswith("estimator.calibration")
+        for code in NoticeCode
+        if f"NoticeCode.{code.name}" in source
+    }
+    by_kind = {NoticeCode.POSITIONS_REPEATED, NoticeCode.POSITIONS_SLOW, NoticeCode.REASON}
+    parts = {NoticeCode.RECEIVER_AT, NoticeCode.ADDRESS, NoticeCode.FACTOR}
+    assert (made | by_kind) - parts == OF_FOLD
 
 
 def test_no_code_is_only_there_in_case() -> None:
