@@ -32,7 +32,7 @@ COLOURS: Final = {
     "relaxation": "#d55e00",
     "nonlinear": "#009e73",
 }
-DASHES: Final[Mapping[str, Any]] = {
+DASHES: Final[Mapping[str, object]] = {
     "kinematic": (0, (4, 1.5)),
     "dynamic": (0, (6, 1.5, 1, 1.5)),
     "relaxation": "-",
@@ -42,7 +42,7 @@ MARKERS: Final = {"kinematic": "o", "dynamic": "s", "relaxation": "x", "nonlinea
 FORMATS = (".svg", ".png", ".pdf")
 _REAL_TICKS: Final = (-100.0, -30.0, -10.0, -3.0, -1.0, -0.5, 0.0, 0.5, 1.0, 3.0, 10.0)
 STEP_POINTS: Final = 401
-_LOOK: Final[dict[Any, Any]] = {
+_LOOK: Final[dict[Any, object]] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "legend.fontsize": 8.0,

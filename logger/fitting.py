@@ -82,7 +82,7 @@ class Worker:
         self._report = report
         self._count = 0
         self._tickets: dict[str, tuple[int, int]] = {}  # method -> (asked_ns, ticket) of the job that counts
-        self._results: dict[int, Any] = {}  # ticket -> result
+        self._results: dict[int, object] = {}  # ticket -> result
         self._changed = threading.Condition()  # guards all that both threads touch
         self._asks: SimpleQueue[tuple[int, str, Any] | None] = SimpleQueue()
         self._thread: threading.Thread | None = None

@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from tilth.client.received import Refused, estimate_of
 from tilth.monitor.daemon_data import MESSAGES, DaemonData
@@ -11,7 +11,7 @@ from tilth.monitor.traces import EstimateRow, PoseRow, Traces, estimate_row, pos
 from tilth.schemas.proto import tilth_pb2 as pb
 
 _ENCODING: Final = "application/protobuf;tilth.{}"
-Fields = dict[str, Any]
+Fields = dict[str, object]
 
 
 @dataclass(slots=True)

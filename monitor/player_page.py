@@ -1,7 +1,7 @@
 """Recorded runs as the page lists them and orders them to be played: JSON of messages of a player."""
 
 import math
-from typing import Any, Final
+from typing import Final
 
 from tilth.client.received import Refused, estimate_of, text
 from tilth.monitor.daemon_data import DaemonData
@@ -15,7 +15,7 @@ MOST_RUNS: Final = 2000
 MOST_PLACES: Final = 1000
 LARGEST: Final = 1e12  # number that a page may send
 _ENCODING: Final = "application/protobuf;tilth.SoilTireEstimate"
-Fields = dict[str, Any]
+Fields = dict[str, object]
 
 
 def order_of(said: Fields) -> pb.PlayerOrder:

@@ -274,7 +274,7 @@ def _noted(ask: Callable[[str], MarkAnswer]) -> Answer:
 
 
 def _ordered(
-    wanted: Callable[[dict[str, Any]], T], ask: Callable[[T], str], what: str = "an order"
+    wanted: Callable[[dict[str, object]], T], ask: Callable[[T], str], what: str = "an order"
 ) -> Answer:
     """wanted: makes the order of what was sent, or raises ValueError. ask: gives why it is refused, or ""."""
 
@@ -289,7 +289,7 @@ def _ordered(
     return answer
 
 
-def _kind(sent: dict[str, Any]) -> str:
+def _kind(sent: dict[str, object]) -> str:
     """Raises ValueError."""
     kind = sent.get("kind", "")
     if not isinstance(kind, str):
@@ -318,7 +318,7 @@ def _told(daemon_data: DaemonData, ask: Callable[[DaemonData], Any]) -> Answer:
     return answer
 
 
-async def _json(request: Request, what: str) -> dict[str, Any]:
+async def _json(request: Request, what: str) -> dict[str, object]:
     """The object that was sent. Raises ValueError."""
     if request.headers.get("content-type") != "application/json":  # what a form of another page cannot send
         raise ValueError(f"{what} is sent as JSON")
@@ -338,7 +338,7 @@ async def _json(request: Request, what: str) -> dict[str, Any]:
     return found
 
 
-def _is_unicode(found: dict[str, Any]) -> bool:
+def _is_unicode(found: dict[str, object]) -> bool:
     """Whether its texts can be sent: JSON can say halves of characters."""
     try:
         json.dumps(found, ensure_ascii=False).encode()

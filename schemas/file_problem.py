@@ -17,7 +17,7 @@ def sentence(error: ValidationError, raw: dict[str, Any], model: Any) -> str:
     where = _place(raw, first["loc"], first["type"] in (*_UNKNOWN, "missing"))
     key = ".".join(_number(part) for part in where).replace(".[", "[")
     if first["type"] in _UNKNOWN:
-        known = _keys_at(model, where[:-1], raw)
+        known = list(_fields_at(model, where[:-1], raw))
         near = difflib.get_close_matches(str(where[-1]), known, n=1, cutoff=0.5)
         hint = f'; did you mean "{near[0]}"?' if near else "."
         return f"{key}: no such key{hint} Allowed here: {', '.join(known)}"
@@ -118,12 +118,8 @@ def _meaning_at(model: Any, where: list[int | str], raw: Any) -> str:
     return (field.description or "") if field is not None else ""
 
 
-def _keys_at(model: Any, path: list[int | str], raw: Any) -> list[str]:
-    """Keys that the section at `path` may have."""
-    return list(_fields_at(model, path, raw))
-
-
 def _fields_at(model: Any, path: list[int | str], raw: Any) -> dict[str, Any]:
+    """Those that the section at `path` may have, by key."""
     models = [model]
     for part in path:
         raw = raw[part]

@@ -6,7 +6,6 @@ Who asks is a name: of a key, or of a computer. Everybody whom nobody can tell a
 
 import ipaddress
 from collections import Counter
-from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final
 
@@ -81,11 +80,7 @@ def asked_by(asked: Any, session: Any) -> str:
     link = None if said is None else links.get(str(said.source_id.zid))
     if link is not None:
         return str(link.auth_identifier) if link.auth_identifier else of_address(_host(link.dst))
-    return LOCAL if _all_local(links.values()) else UNKNOWN
-
-
-def _all_local(links: Iterable[Any]) -> bool:
-    return all(of_address(_host(link.dst)) == LOCAL for link in links)
+    return LOCAL if all(of_address(_host(link.dst)) == LOCAL for link in links.values()) else UNKNOWN
 
 
 def _host(locator: object) -> str:

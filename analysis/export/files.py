@@ -27,7 +27,7 @@ from tilth.analysis.export.columns import (
 )
 from tilth.schemas.invocation import installing
 
-Facts = Mapping[str, Any]
+Facts = Mapping[str, object]
 ROW_GROUP_BYTES: Final = 4 << 20  # at least
 COLUMN_BYTES: Final = 1 << 16  # of a column, at least: each in each group costs a kilobyte until the end
 MAT_BYTES: Final = 2 << 30  # of a variable; the format can say 4 GiB, and readers stop at 2

@@ -104,12 +104,8 @@ def marked(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:
             except ValueError:
                 continue
     texts = [str(text) for text in marks["text"]]
-    return tuple(one for one in found if not any(text.startswith(_spoilt(one.name)) for text in texts))
-
-
-def _spoilt(name: str) -> tuple[str, ...]:
-    """How marks begin that say so of a run of that name."""
-    return f"{name} disturbed (", f"{name} aborted ("
+    spoilt = {one.name: (f"{one.name} disturbed (", f"{one.name} aborted (") for one in found}
+    return tuple(one for one in found if not any(text.startswith(spoilt[one.name]) for text in texts))
 
 
 def all_segments(poses: Table, marks: Table) -> tuple[DrivenSegment, ...]:

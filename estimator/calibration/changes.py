@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ def linkage_of(machine: Machine, kingpin: str | None = None) -> Linkage:
     )
 
 
-def _kingpin_keys(machine: Machine, kingpin: str) -> dict[str, Any]:
+def _kingpin_keys(machine: Machine, kingpin: str) -> dict[str, object]:
     if kingpin == "mean" or machine.tractor.kingpin_distance is not None:
         return {}
     return {"kingpin_distance": CHANGES.kingpin_distance}
@@ -157,7 +157,7 @@ def _placed(machine: Machine, changes: Changes) -> Machine:
         if there is None or device is None:
             continue
         sign, zero, corrected = changes.roll_sign[k], device.roll_zero, changes.roll_corrected[k]
-        update: dict[str, Any] = {
+        update: dict[str, object] = {
             "mount": mount, "position": there.position, "roll_sign": sign * device.roll_sign,
             "yaw_rate_sign": changes.yaw_rate_sign[k] * device.yaw_rate_sign,
         }  # fmt: skip
@@ -173,7 +173,7 @@ def _wheel_set(machine: Machine, changes: Changes) -> Machine:
     """With the sign of the wheel angle, and which wheel carries the sensor."""
     wheel = machine.wheel_angle
     zero = Quantity(value=changes.wheel_sign * wheel.zero.value, sd=wheel.zero.sd)
-    keys: dict[str, Any] = {"sign": changes.wheel_sign * wheel.sign, "zero": zero}
+    keys: dict[str, object] = {"sign": changes.wheel_sign * wheel.sign, "zero": zero}
     if changes.linkage != changes.linkage_before:
         curve = Quantity(value=changes.linkage.curve, sd=wheel.curve.sd)
         keys |= {"kingpin": changes.linkage.kingpin, "curve": curve}

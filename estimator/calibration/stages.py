@@ -107,13 +107,6 @@ def initial(machine: Machine) -> StageFold:
     return StageFold(machine.tractor.wheelbase)
 
 
-def take_all(state: StageFold, measurements: Iterable[Measurement]) -> StageFold:
-    """The same state, after these."""
-    for measurement in measurements:
-        take(state, measurement)
-    return state
-
-
 def take(state: StageFold, measurement: Measurement) -> None:
     """Count what an instant has shown once the next one begins."""
     receivers.take(state.senders, measurement)

@@ -8,6 +8,7 @@ by less than the aligner's deadline have come, and a fix that was lost in betwee
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -241,13 +242,9 @@ def _assemble(start: Knot, end: Knot, wheel: list[float], rows: list[Row]) -> Re
     ticks[:, 1:6] = low + np.outer(shares, high - low)
     for body, (first, last) in enumerate(zip(start.roll_pitch, end.roll_pitch, strict=True)):
         ticks[:, 6 + body] = np.interp(shares, _HALVES, (first.roll, last.roll_before, last.roll))
-    rows.sort(key=_instant)
+    rows.sort(key=itemgetter(0))
     table = [
         (since // TICK_NS, (since % TICK_NS) * 1e-9, kind, place, value, sd)
         for since, kind, place, value, sd in rows
     ]
     return Record(start.t_ns, ticks, np.array(table, dtype=np.float64).reshape(-1, len(ROWS)))
-
-
-def _instant(row: Row) -> int:
-    return row[0]

@@ -88,7 +88,7 @@ def wheel_gain(machine: Machine, amount: Amount) -> Machine:
     x = sign (raw scale + offset) - zero, degrees.
     """
     wheel, factor = machine.wheel_angle, math.exp(amount.by)
-    keys: dict[str, Any] = {}
+    keys: dict[str, object] = {}
     if amount.sd is not None:
         keys["gain"] = Quantity(value=wheel.gain.value, sd=wheel.gain.value * amount.sd)
     if factor != 1.0:
@@ -105,12 +105,12 @@ def wheel_gain(machine: Machine, amount: Amount) -> Machine:
 # Receivers.
 
 
-def _with(machine: Machine, change: Callable[[Receiver], dict[str, Any]]) -> Machine:
+def _with(machine: Machine, change: Callable[[Receiver], dict[str, object]]) -> Machine:
     """change: of a receiver, to its keys that change."""
     return machine.model_copy(update={"receiver": [r.model_copy(update=change(r)) for r in machine.receiver]})
 
 
-def of_receiver(mount: Mount, change: Callable[[Receiver, Amount], dict[str, Any]]) -> Change:
+def of_receiver(mount: Mount, change: Callable[[Receiver, Amount], dict[str, object]]) -> Change:
     """change: to the keys of that receiver that change."""
     return lambda machine, amount: _with(machine, lambda r: change(r, amount) if r.mount is mount else {})
 
@@ -119,23 +119,23 @@ def _moved(r: Receiver, forward: float, right: float) -> tuple[float, float, flo
     return (r.position[0] + forward, r.position[1] + right, r.position[2])
 
 
-def forward(r: Receiver, amount: Amount) -> dict[str, Any]:
+def forward(r: Receiver, amount: Amount) -> dict[str, object]:
     """One receiver, m."""
     return {"position": _moved(r, amount.by, 0.0), "survey_sd": _sd(r.survey_sd, amount)}
 
 
-def right(r: Receiver, amount: Amount) -> dict[str, Any]:
+def right(r: Receiver, amount: Amount) -> dict[str, object]:
     """One receiver, m."""
     return {"position": _moved(r, 0.0, amount.by), "survey_sd": _sd(r.survey_sd, amount)}
 
 
-def latency(r: Receiver, amount: Amount) -> dict[str, Any]:
+def latency(r: Receiver, amount: Amount) -> dict[str, object]:
     """One receiver, s; none is earlier than its measurement."""
     value = max(r.latency.value + amount.by, SHORTEST_LATENCY_S)
     return {"latency": Quantity(value=value, sd=_sd(r.latency.sd, amount))}
 
 
-def roll_zero(r: Receiver, amount: Amount) -> dict[str, Any]:
+def roll_zero(r: Receiver, amount: Amount) -> dict[str, object]:
     """One receiver, rad. A file that gives none keeps none where none is found."""
     if r.roll_zero is None and amount.by == 0.0:
         return {}
@@ -165,7 +165,7 @@ def pair_forward(body: str) -> Change:
 def pair_right(body: str) -> Change:
     """Both receivers of a body, m."""
 
-    def of(r: Receiver, amount: Amount) -> dict[str, Any]:
+    def of(r: Receiver, amount: Amount) -> dict[str, object]:
         if r.mount.body != body:
             return {}
         sd = r.survey_sd if amount.sd is None else max(_sd(r.survey_sd, amount), ADJUSTMENT.least_survey)
@@ -186,12 +186,12 @@ def pair_turned(body: str) -> Change:
         middle = _middle(machine, body)
         cosine, sine = math.cos(amount.by), math.sin(amount.by)
 
-        def of(r: Receiver) -> dict[str, Any]:
+        def of(r: Receiver) -> dict[str, object]:
             if r.mount.body != body:
                 return {}
             x, y = r.position[0] - middle[0], r.position[1] - middle[1]
             turned = (cosine - 1.0) * x - sine * y, sine * x + (cosine - 1.0) * y
-            keys: dict[str, Any] = {"position": _moved(r, *turned)}
+            keys: dict[str, object] = {"position": _moved(r, *turned)}
             if amount.besides:
                 keys["survey_sd"] = math.hypot(r.survey_sd, (amount.sd or 0.0) * abs(x))
             return keys
@@ -209,7 +209,7 @@ def pair_longer(body: str) -> Change:
     def change(machine: Machine, amount: Amount) -> Machine:
         middle = _middle(machine, body)
 
-        def of(r: Receiver) -> dict[str, Any]:
+        def of(r: Receiver) -> dict[str, object]:
             x, y = r.position[0] - middle[0], r.position[1] - middle[1]
             length = math.hypot(x, y)
             if r.mount.body != body or length == 0.0:

@@ -135,14 +135,7 @@ class McapRecords:
             elif place.opcode == UNREADABLE:
                 yield from self._kept_unread(place, number)
             elif place.opcode == Opcode.CHUNK:
-                try:
-                    data = unpacked(body_of(self._file, place))
-                except DAMAGE:
-                    self.lost = self._around(FaultKind.CHUNK, place, number)
-                    self.faults.append(self.lost)
-                    yield RecordPlace(HOLE, place.start, place.end), b""
-                else:
-                    yield place, data
+                yield self._chunk(place, number)
             elif place.opcode == Opcode.ATTACHMENT and self._is_changed(place):
                 self.faults.append(LogFault(FaultKind.HOLE, place.start, place.end))
             else:
@@ -152,6 +145,15 @@ class McapRecords:
         if self._every_byte and not self.damaged and not self._is_as_written():
             self.faults.append(LogFault(FaultKind.CHANGED, 0, self._size))
         self.faults.sort(key=lambda fault: fault.start)
+
+    def _chunk(self, place: RecordPlace, number: int) -> tuple[RecordPlace, bytes]:
+        """With what it holds unpacked, or a HOLE in its place."""
+        try:
+            return place, unpacked(body_of(self._file, place))
+        except DAMAGE:
+            self.lost = self._around(FaultKind.CHUNK, place, number)
+            self.faults.append(self.lost)
+            return RecordPlace(HOLE, place.start, place.end), b""
 
     def _kept_unread(self, place: RecordPlace, number: int) -> Iterator[tuple[RecordPlace, bytes]]:
         """What an earlier recovery could not read: a HOLE, if it was not the end of the file."""

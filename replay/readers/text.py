@@ -125,12 +125,6 @@ def _ended(line: str, found: Frame | str | None, reader: _Reader) -> bool:
     return found is None and line.lower().startswith(_NO_FRAME)
 
 
-def form_of(line: str) -> str | None:
-    """Which form a line has, in a person's words; None for none of them."""
-    line = _bare(line)
-    return next((form.name for form in FORMS if form.name and form.pattern.match(line)), None)
-
-
 def frames(lines: Iterable[str], log: OpenLog) -> Iterator[Frame]:
     """Frames of the lines in their order; what is none is counted in log.skipped.
 

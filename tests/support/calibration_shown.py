@@ -1,5 +1,6 @@
 """What a driver is shown of a calibration."""
 
+from collections.abc import Iterable
 from typing import Any
 
 from kinematic_drive import MACHINE, Plan, measurements
@@ -12,12 +13,20 @@ from tilth.client.calibration.shown import (
 from tilth.estimator.calibration import stages
 from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.estimator.calibration.verdict import IDENTIFIED
+from tilth.schemas.flow import Measurement
 
 STANDS: Plan = ((10, 0.0, 0),)
 
 
+def take_all(state: stages.StageFold, given: Iterable[Measurement]) -> stages.StageFold:
+    """The same state, after these."""
+    for measurement in given:
+        stages.take(state, measurement)
+    return state
+
+
 def fold_of(plan: Plan) -> stages.StageFold:
-    return stages.take_all(stages.initial(MACHINE), measurements(plan))
+    return take_all(stages.initial(MACHINE), measurements(plan))
 
 
 def shown_of(fold: stages.StageFold, answer: dict[str, Any], phase: str = DRIVING, trouble: str = "") -> Any:

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from calibration_shown import take_all
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic_drive import MACHINE, Plan, measurements
@@ -56,7 +57,7 @@ def _one_after_the_other(parts: Sequence[Sequence[Measurement]]) -> list[Measure
 
 
 def _driven(made: Sequence[Measurement]) -> StageFold:
-    return stages.take_all(stages.initial(MACHINE), made)
+    return take_all(stages.initial(MACHINE), made)
 
 
 def _same(one: StageTally, other: StageTally) -> None:
@@ -95,7 +96,7 @@ def test_portions_give_the_same(shares: list[float], parts: dict[str, list[Measu
     cuts = [0, *sorted(round(share * len(made)) for share in shares), len(made)]
     state = stages.initial(MACHINE)
     for first, last in pairwise(cuts):
-        stages.take_all(state, made[first:last])
+        take_all(state, made[first:last])
     assert repr(state) == repr(_driven(made))
 
 
@@ -140,13 +141,13 @@ def test_what_is_missing_is_asked_for_step_by_step(parts: dict[str, list[Measure
     assert said(state).startswith("Stand still for 20 s more")
     assert stage_words.happening(state) == "Nothing has been measured yet."
     made = parts["straight"]
-    stages.take_all(state, [one for one in made if one.rx_ns < 30e9])
+    take_all(state, [one for one in made if one.rx_ns < 30e9])
     assert said(state).startswith("Drive straight, ")
     assert stage_words.happening(state) == "This counts for: Straight there and back."
-    stages.take_all(state, [one for one in made if 30e9 <= one.rx_ns < 63e9])
+    take_all(state, [one for one in made if 30e9 <= one.rx_ns < 63e9])
     assert said(state).startswith("Turn round and drive back on the same line, 150 m more")
     circles = [_later(one, 2000 * ALIGNMENT.pose_ns) for one in parts["circles"] if one.rx_ns < 30e9]
-    stages.take_all(state, circles)
+    take_all(state, circles)
     assert said(state) == "Hold the wheels a little (about 10°) to the left and drive one round, at 5 km/h."
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from logs import DATA, SECOND, drained, messages, write_mcap, write_with_can
 
-from tilth.replay.readers import text
 from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import NO_ZONE, EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
@@ -358,11 +357,3 @@ def test_logs_without_a_frame(tmp_path: Path) -> None:
     for path in (write_mcap(tmp_path / "x.mcap", []), write_with_can(tmp_path / "x.csv", [])):
         with pytest.raises(EmptyLog):
             list(frames(path))
-
-
-def test_forms_are_told_by_their_lines() -> None:
-    assert [text.form_of(line) for line in ("14:23:39 R 0DF20D4B 01", "# x", "")] == [
-        "a gateway's raw text",
-        None,
-        None,
-    ]
