@@ -165,7 +165,7 @@ class Bump:
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class Ground:
     """A side slope, as a plane, and what is uneven on it: of the planar plant waves along the way that roll
-    and push both bodies, of the spatial one a height field."""
+    and push both bodies, of the spatial one a height field with a continuous spectrum."""
 
     slope_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     downhill_deg: Degrees = 90.0  # direction in which the plane falls, clockwise from north
