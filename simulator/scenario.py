@@ -172,6 +172,7 @@ class Ground:
     roll_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # of either body on uneven ground
     force_sd: Annotated[float, Field(ge=0, le=0.3)] = 0.0  # of the force across either body, over its weight
     band: tuple[Positive, Positive] = (3.0, 30.0)  # m, shortest and longest wave; of roll 5 times these
+    rut: bool = False  # whether force_sd is of one rut that each axle meets in its turn; else of both CGs
     rms: Annotated[float, Field(ge=0, le=0.1)] | None = None  # m, of the height field; None: even, or drawn
     waves: tuple[Wave, Wave] = (1.0, 20.0)  # m, its shortest and longest wave
     bumps: tuple[Bump, ...] = ()
@@ -183,7 +184,10 @@ class Ground:
                 raise ValueError(f"{key} = {list(band)}: give the shortest wave first, then a longer one")
 
 
-_OF_PLANT: Final = {"planar": ("rms", "waves", "bumps"), "spatial": ("roll_sd_deg", "force_sd", "band")}
+_OF_PLANT: Final = {
+    "planar": ("rms", "waves", "bumps"),
+    "spatial": ("roll_sd_deg", "force_sd", "band", "rut"),
+}
 """Keys of Ground that a plant does not have."""
 
 

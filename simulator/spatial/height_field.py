@@ -1,10 +1,10 @@
 """The ground as a height field: a plane, random roughness, and bumps. Heights in m, positive upwards.
 
 Roughness is filtered noise on a square that is repeated for ever, with cubic B-splines between its points
-(Unser, Splines, IEEE Signal Processing Magazine 16(6), 1999): its spectrum is continuous from the shortest to
-the longest wave, where a filter could predict a sum of some pure waves. It depends on the place only, so
-each wheel meets its own ground, with its cross slope, and the implement meets what the tractor has met. Power
-along a line falls with the square of the wavenumber: a waviness of 2, as ISO 8608 has it for roads and fields.
+(Unser, Splines, IEEE Signal Processing Magazine 16(6), 1999): its spectrum is continuous from the shortest
+to the longest wave, where a filter could predict a sum of some pure waves. It depends on the place only, so
+each wheel meets its own ground, with its cross slope, and the implement meets what the tractor has met.
+Power along a line falls with the square of the wavenumber: a waviness of 2, as ISO 8608 has it.
 World frame: x north, y east.
 """
 
