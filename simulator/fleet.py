@@ -279,6 +279,7 @@ def scenario_of(rig: FleetRig, scenario: Scenario) -> Scenario:
     of_plant = {"spatial": _spatial(rig)} if scenario.plant == "spatial" else {"planar": _planar(rig)}
     return replace(
         scenario,
+        rig_seed=rig.seed,
         soil=soil,
         survey=SurveyErrors(0.0, 0.0, 0.0, 0.0),  # the machine is the true one; its file has the errors
         wheel=rig.wheel,
