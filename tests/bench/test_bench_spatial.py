@@ -65,8 +65,8 @@ def _never(*_: Any, **__: Any) -> None:
 def test_after_a_line_that_was_cut_short_comes_a_new_one(tmp_path: Path) -> None:
     bench = Bench(kept=tmp_path / "kept.jsonl")
     (tmp_path / "kept.jsonl").write_text('{"row": "spa')
-    spatial_rows._keep(bench, {"row": NAME, "seed": 7, "scale": 1.0})
-    assert set(spatial_rows._kept(bench, NAME)) == {7}
+    spatial_rows.keep(bench, {"row": NAME, "seed": 7, "scale": 1.0})
+    assert set(spatial_rows.kept(bench, NAME)) == {7}
 
 
 def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> None:
@@ -137,6 +137,20 @@ def test_intervals_that_are_right_hold_and_others_do_not(scale: float, bias: flo
     assert all(judged) is held
     nothing = [line for line in lines if line.figure.startswith("tracker:")]
     assert [line.held for line in nothing] == [False]
+
+
+@pytest.mark.parametrize(("error", "sd", "held"), [(0.2, 0.01, False), (0.01, 0.2, True)])
+def test_what_is_held_against_the_limit_is_how_far_off_the_numbers_are(
+    error: float, sd: float, held: bool
+) -> None:
+    """Errors of either sign must not cancel, and a small sd is no merit."""
+    made = _made(1.0)
+    for k, run in enumerate(made):
+        run["methods"]["pem"] |= {"error": [error * (-1) ** k] * 6, "sd": [sd] * 6}
+        run["methods"]["pem"]["per_mass"] = [error * (-1) ** k, sd]
+    lines = {line.figure: line for line in spatial_rows.judged(made, spatial_rows.Reach(0.07, 0.12))}
+    off = lines["pem: |error|, median"]
+    assert off.held is held and off.values == pytest.approx([error] * 6)
 
 
 # Rows of their own.
