@@ -19,6 +19,7 @@ from tilth.simulator.fleet_ranges import ANY, CHANCES, IMPLEMENTS, RANGES, TRACT
 from tilth.simulator.noise import generator
 from tilth.simulator.scenario import (
     Ground,
+    HeadlandTurn,
     Lag,
     Parameter,
     PlanarKey,
@@ -38,6 +39,9 @@ TRIES: Final = 1000
 OWN_STIFFNESS_SD: Final = 0.2  # of an axle about that of the soil, natural logarithm
 GAIN_SD: Final = 0.01  # of the wheel sensor
 ZERO_DEG: Final = 0.5  # of the wheel sensor, sd
+LEAST_RADIUS: Final = 5.0  # m, of a headland turn
+TURN_DEG: Final = 20.0  # of the wheels in it, at most
+FOLDING: Final = 1.5  # radius over the towed length, at least
 PER_CM: Final = (0.7, 0.015)  # of the planar plant's ground for each cm of rms: roll, degrees, and force_sd
 
 
@@ -295,6 +299,13 @@ def ground_of(scenario_plant: str, rms: float, slope_deg: float, downhill_deg: f
         return Ground(slope_deg=slope_deg, downhill_deg=downhill_deg, rms=rms)
     roll, force = (100.0 * rms * each for each in PER_CM)
     return Ground(slope_deg=slope_deg, downhill_deg=downhill_deg, roll_sd_deg=roll, force_sd=force, rut=True)
+
+
+def headlands_of(rig: FleetRig) -> tuple[HeadlandTurn, HeadlandTurn]:
+    """A U and a loop that the wheels can turn and the implement can follow."""
+    towed, base = rig.implement.d + rig.implement.e, rig.tractor.a + rig.tractor.b
+    radius = max(LEAST_RADIUS, FOLDING * towed, base / math.tan(math.radians(TURN_DEG)))
+    return HeadlandTurn(2.1 * radius, radius), HeadlandTurn(6.1, radius)
 
 
 def _spatial(rig: FleetRig) -> Spatial:

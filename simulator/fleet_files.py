@@ -37,10 +37,11 @@ def true_machine(rig: FleetRig, first_name: int = STAR_FIRE) -> Machine:
     return parse_machine(text_of(_raw(rig, first_name, np.zeros(NUMBERS), told=0.0)))
 
 
-def owners_text(rig: FleetRig, first_name: int = STAR_FIRE) -> str:
-    """The machine file as TOML. first_name: NAME of the first receiver: STAR_FIRE or NMEA_2000."""
-    rng = generator(rig.seed, noise.FLEET_FILE)
-    return text_of(_raw(rig, first_name, np.clip(rng.standard_normal(NUMBERS), -LIMIT, LIMIT), told=1.0))
+def owners_text(rig: FleetRig, first_name: int = STAR_FIRE, *, exact: bool = False) -> str:
+    """The machine file as TOML. first_name: NAME of the first receiver: STAR_FIRE or NMEA_2000. exact: with
+    the true numbers, and the owner's sds."""
+    off = np.clip(generator(rig.seed, noise.FLEET_FILE).standard_normal(NUMBERS), -LIMIT, LIMIT)
+    return text_of(_raw(rig, first_name, off * (not exact), told=1.0))
 
 
 NUMBERS: Final = 11 + 3 * len(Mount)  # that the owner measures

@@ -17,6 +17,7 @@ from scipy.stats import binom
 
 from tilth.estimator.filters.unknowns import AT
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.fleet import drawn
 
 SCALE = 0.15  # of 120 s
 NAME = "spatial_random"
@@ -79,12 +80,20 @@ def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> N
 
 
 def test_every_seed_has_its_own_rig_and_every_row_the_same() -> None:
-    sources = [spatial_logs.source_of(row, 1) for row in spatial_logs.ROWS]
+    sources = [spatial_logs.source_of(row, 1) for row in spatial_logs.ROWS if not row.fleet]
     heights = {source.machine.tractor.cg_height.value for source in sources}
     assert len(heights) == 1
     assert spatial_logs.drawn(1) != spatial_logs.drawn(2)
-    heavy = next(s for s, row in zip(sources, spatial_logs.ROWS, strict=True) if row.heavy)
+    heavy = spatial_logs.source_of(spatial_logs.ROW["spatial_8t"], 1)
     assert (heavy.machine.implement.mass.value, heavy.machine.implement.mass.sd) == (8000.0, 800.0)
+
+
+def test_a_seed_of_a_row_on_the_fleet_is_a_rig_of_it() -> None:
+    source = spatial_logs.source_of(spatial_logs.ROW["fleet_field"], 3)
+    assert source.machine.machine.name == "fleet-3"
+    assert source.driven is not None
+    assert source.driven.tractor.mass.value == pytest.approx(drawn(3).tractor.mass, abs=0.01)
+    assert source.machine.tractor.mass.value != source.driven.tractor.mass.value
 
 
 def test_between_the_step_runs_nothing_is_recorded() -> None:

@@ -2,14 +2,15 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from tilth.estimator.models.parameters import rig_of
-from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import unusual
 from tilth.simulator import fleet
@@ -66,7 +67,7 @@ def test_a_rig_stands_and_can_be_built(rig: FleetRig) -> None:
     assert loads[0] >= fleet.LEAST_FRONT * rig.tractor.mass * GRAVITY
     deflections = np.array(loads) / 2 / vehicle.stiffness
     assert deflections == pytest.approx([tyre.deflection for tyre in rig.tyres])
-    coefficients = np.array([rig.parameters[name] for name in PARAMETERS[:3]]) / loads
+    coefficients = np.array([dict(rig.parameters)[name] for name in ("C_af", "C_ar", "C_ai")]) / loads
     assert coefficients.min() > 1.5 and coefficients.max() < 14.0
 
 
@@ -86,21 +87,28 @@ def _owner(rig: FleetRig) -> Machine:
     return parse_machine(owners_text(rig))
 
 
+LENGTHS: dict[str, tuple[Callable[[Machine], Quantity], float]] = {
+    "a": (lambda m: m.tractor.a, 0.01),
+    "e": (lambda m: m.implement.e, 0.01),
+    "h_i": (lambda m: m.implement.cg_height, 0.04),
+}
+SHARES: dict[str, tuple[Callable[[Machine], Quantity], float, float]] = {
+    "m_t": (lambda m: m.tractor.mass, 0.01, 0.01),
+    "m_i": (lambda m: m.implement.mass, 0.04, 0.05),
+    "I_i": (lambda m: m.implement.yaw_inertia, 0.05, 0.05),
+}
+"""Of each number of the file: errors, and shares of it with what is told."""
+
+
 def test_the_owner_errs_by_what_he_tells() -> None:
     off: dict[str, list[float]] = {}
     for rig in MANY:
         true, told = true_machine(rig), _owner(rig)
         assert not unusual(told)
-        for name, of, sd in (
-            ("a", lambda m: m.tractor.a, 0.01), ("e", lambda m: m.implement.e, 0.01),
-            ("h_i", lambda m: m.implement.cg_height, 0.04),
-        ):  # fmt: skip
+        for name, (of, sd) in LENGTHS.items():
             off.setdefault(name, []).append((of(told).value - of(true).value) / sd)
             assert (of(told).sd, of(true).sd) == (sd, 0.0)
-        for name, of, is_, said in (
-            ("m_t", lambda m: m.tractor.mass, 0.01, 0.01), ("m_i", lambda m: m.implement.mass, 0.04, 0.05),
-            ("I_i", lambda m: m.implement.yaw_inertia, 0.05, 0.05),
-        ):  # fmt: skip
+        for name, (of, is_, said) in SHARES.items():
             off.setdefault(name, []).append((of(told).value / of(true).value - 1) / is_)
             assert of(told).sd == pytest.approx(said * of(told).value, rel=1e-3)
         places = np.subtract([r.position for r in told.receiver], [r.position for r in true.receiver])
@@ -108,6 +116,14 @@ def test_the_owner_errs_by_what_he_tells() -> None:
     for name, errors in off.items():
         assert np.std(errors) == pytest.approx(1.0, abs=0.15), name
         assert abs(np.mean(errors)) < 0.3, name
+
+
+def test_an_exact_file_has_the_true_numbers_and_the_owners_sds() -> None:
+    rig = MANY[5]
+    exact, true, told = parse_machine(owners_text(rig, exact=True)), true_machine(rig), _owner(rig)
+    assert exact.tractor.a.value == true.tractor.a.value != told.tractor.a.value
+    assert exact.tractor.a.sd == told.tractor.a.sd > 0.0
+    assert [r.position for r in exact.receiver] == [r.position for r in true.receiver]
 
 
 def test_the_driven_machine_is_the_true_one_and_the_file_has_no_draw_left() -> None:
@@ -136,7 +152,7 @@ def test_dual_wheels_hold_a_body_as_their_four_springs_do() -> None:
 
 @pytest.mark.parametrize("seed", [0, 7])
 @pytest.mark.parametrize("plant", ["planar", "spatial"])
-def test_a_rig_of_the_fleet_can_be_driven(plant: str, seed: int) -> None:
+def test_a_rig_of_the_fleet_can_be_driven(plant: Literal["planar", "spatial"], seed: int) -> None:
     if plant == "spatial":
         pytest.importorskip("mujoco", reason="needs the extra `spatial`")
     rig = MANY[seed]
