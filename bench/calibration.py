@@ -5,9 +5,9 @@
 
 Logs of examples/scenarios/calibration_drive.toml, of rigs that differ, are made once and kept in
 ~/.cache/tilth/calibration; those of `fleet` are of rigs of the virtual fleet, in space. A wrong rig is a
-wrong machine file: the log is of the right one. Each is printed as soon as it is there; the table of the issue
-comes at the end. What is done is kept in DONE.jsonl, a line each, and not done again, with the calibrated
-machine files for bench/calibrated_soil.py.
+wrong machine file: the log is of the right one. Each is printed as soon as it is there; the table of the
+issue comes at the end. What is done is kept in DONE.jsonl, a line each, and not done again, with the
+calibrated machine files for bench/calibrated_soil.py.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The design on the virtual fleet: balance, table, a drive of it, and the rigs that other benches take of it."""
+"""The design on the virtual fleet: balance, table, a drive; and the rigs that other benches take of it."""
 
 import json
 from collections import Counter
@@ -48,9 +48,9 @@ def _made(z: float, sd: float, count: int = 60) -> list[fleet.Result]:
         }
         made.append({
             "row": "fleet", "seed": k, "first": 0, "scale": 1.0, "rig": k, "tractor": "heavy",
-            "implement": "sprayer", "duals": False, "manoeuvre": cell.manoeuvre.name, "rms": cell.rms, "slope": cell.slope_deg,
-            "plant": cell.plant, "methods": {"pem": said, "recommended": said}, "contradictions": [],
-            "took_s": 1.0,
+            "implement": "sprayer", "duals": False, "manoeuvre": cell.manoeuvre.name, "rms": cell.rms,
+            "slope": cell.slope_deg, "plant": cell.plant,
+            "methods": {"pem": said, "recommended": said}, "contradictions": [], "took_s": 1.0,
         })  # fmt: skip
     return json.loads(json.dumps(made))  # type: ignore[no-any-return]
 
