@@ -33,7 +33,7 @@ class Misfit(NamedTuple):
     sd: Array  # [n]; of the result
     found: Array  # [n]; error of each number if it alone is wrong
     alone: Array  # [n]; sd of that, with the error that is allowed
-    moves: Array  # [6, n]; by how much the six logarithms, learned with the file, are off for an error of one
+    moves: Array  # [6, n]; of the six logarithms, learned with the file's values, by an error of each number
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +65,19 @@ def misfit_of(off: Array, covariance: Array, machine: Machine) -> Misfit:
         np.sqrt(np.diag(own)),
         solved / precision,
         1.0 / np.sqrt(precision),
-        covariance[:6, 6:] @ inverse,
+        covariance[:6, 6:] @ np.linalg.inv(own + np.diag(_stated(machine) ** 2)),
     )
+
+
+def _stated(machine: Machine) -> Array:
+    """Sds that the file gives, [n] in the order of OPEN: the methods have these."""
+    return unknowns.prior(machine)[1][[AT[name] for name in NAMES]]
 
 
 @once_for_a_machine
 def allowed(machine: Machine) -> Array:
     """Sd by which a right file may differ from the result, [n] in the order of OPEN."""
-    _, stated = unknowns.prior(machine)
-    out = np.array([math.hypot(stated[AT[row.name]], row.allowed_sd) for row in OPEN])
+    out = np.hypot(_stated(machine), [row.allowed_sd for row in OPEN])
     for k, row in enumerate(OPEN):
         if row.by_cg:
             body = machine.tractor if row.key.startswith("tractor.") else machine.implement

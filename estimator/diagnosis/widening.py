@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, OpenEvidence
+from tilth.estimator.filters import unknowns
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.state_json import Shape
@@ -31,7 +32,9 @@ Array = NDArray[np.float64]
 class WideningTuning:
     """What is added to the published variances for the machine file."""
 
-    odds: float = tuned(0.1, "1", "that a number of a file is wrong over that it is right, before driving")
+    odds: float = tuned(0.3, "1", "that a number of a file is wrong over that it is right, before driving")
+    """A file is as wide as this leaves it before driving tells anything: an error of two of the sds by which
+    people are wrong is then within 4 of the published ones."""
     widest: float = tuned(0.3, "1", "sd of a logarithm above which a number is not given for the file's sake")
     least: float = tuned(1.1, "1", "factor by which the file must widen a number before it is not given")
     said: float = tuned(1.2, "1", "factor from which the reason says by what a number is widened")
@@ -45,6 +48,11 @@ class WideningTuning:
 WIDENING: Final = WideningTuning()
 SEGMENT_S: Final = ALIGNMENT.pose_ns * 1e-9
 _OPEN_VARIANCE: Final = np.array([row.open_sd**2 for row in OPEN])
+_CONSIDERED: Final = [unknowns.NAMES[k] for k in unknowns.MASSES]
+"""The methods do not learn these either: what the file says of them, with its sd, is in their covariances."""
+_MASS_INSTEAD: Final = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+"""What looks like another yaw inertia of the tractor may be its mass: C_af and C_ar are then off by as much."""
+_NUMBER_OF_PART: Final = np.array([*range(len(NAMES)), NAMES.index("I_t")])
 
 
 @dataclass(slots=True)
@@ -52,9 +60,7 @@ class Widening:
     """What errors of the file do to the covariance of the six logarithms."""
 
     factor: float = 1.0  # on a method's own
-    covariance: Annotated[Array, Shape((6, 6))] = field(
-        default_factory=lambda: np.zeros((6, 6))
-    )  # added to it
+    covariance: Annotated[Array, Shape((6, 6))] = field(default_factory=lambda: np.zeros((6, 6)))  # added
     by: list[str] = field(default_factory=lambda: [NAMES[0]] * 6)  # of each: the number that adds most
     doubted: list[bool] = field(default_factory=lambda: [False] * 6)  # that is off, not only unknown yet
     worst: str = NAMES[0]  # the number that agrees least
@@ -73,10 +79,11 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = ()) -> Widening
     share = _OPEN_VARIANCE / (_OPEN_VARIANCE + variance)  # of what is found that is no noise
     log_factor = 0.5 * (share * misfit.by_name - np.log1p(_OPEN_VARIANCE / variance))
     wrong = 1.0 / (1.0 + np.exp(np.clip(-log_factor, -50.0, 50.0)) / WIDENING.odds)
-    wrong[[NAMES.index(name) for name in known]] = 0.0
+    wrong[[k for k, name in enumerate(NAMES) if name in (*known, *_CONSIDERED)]] = 0.0
     noise, error = share * variance, (share * misfit.found) ** 2
-    parts = misfit.moves * np.sqrt(wrong * (noise + error))
-    by = np.argmax(np.abs(parts), axis=1)
+    sds = np.sqrt(wrong * (noise + error))
+    parts = np.column_stack([misfit.moves, _MASS_INSTEAD]) * sds[_NUMBER_OF_PART]
+    by = _NUMBER_OF_PART[np.argmax(np.abs(parts), axis=1)]
     return Widening(
         max(misfit.total / len(NAMES), 1.0), parts @ parts.T, [NAMES[k] for k in by],
         (error > noise)[by].tolist(), NAMES[int(np.argmax(misfit.by_name))], evidence.learned * SEGMENT_S,
