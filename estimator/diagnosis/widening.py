@@ -51,7 +51,7 @@ _OPEN_VARIANCE: Final = np.array([row.open_sd**2 for row in OPEN])
 _CONSIDERED: Final = [unknowns.NAMES[k] for k in unknowns.MASSES]
 """The methods do not learn these either: what the file says of them, with its sd, is in their covariances."""
 _MASS_INSTEAD: Final = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-"""What looks like another yaw inertia of the tractor may be its mass: C_af and C_ar are then off by as much."""
+"""What looks like another inertia of the tractor may be its mass: then C_af and C_ar are off by as much."""
 _NUMBER_OF_PART: Final = np.array([*range(len(NAMES)), NAMES.index("I_t")])
 
 

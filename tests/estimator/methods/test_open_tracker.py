@@ -12,12 +12,12 @@ from tilth.estimator.methods import open_tracker
 
 
 def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
-    """As it came out in fields with headland turns, with right files. Five times the mass would be one."""
+    """As it came out in fields with headland turns, with right files. Ten times the mass would be one."""
     machine = demo_machine()
     state = open_tracker.initial(machine).tracker
     m_i = unknowns.AT["m_i"]
     state.covariance[m_i, m_i] = 0.22**2
-    for off, doubted in ((-0.9, False), (math.log(0.2), True)):
+    for off, doubted in ((-1.6, False), (math.log(0.1), True)):
         state.mean[m_i] = state.prior_mean[m_i] + off
         now = open_tracker.misfit(state, machine)
         assert (now.by_name.max() > CONSISTENCY.ends * CONSISTENCY.begins) == doubted
