@@ -81,7 +81,7 @@ class Code(StrEnum):
     NO_RELAXATION = "no_relaxation"
     ON_UNIDENTIFIABLE = "on_unidentifiable"
     NOT_CONFIRMED = "not_confirmed"
-    """of: keys of the machine file that driving has not confirmed yet, or none."""
+    """of: keys that driving has not confirmed yet, or none. numbers: s of steering; or none."""
     NOT_DRIVEN = "not_driven"
     DOUBTED = "doubted"
     """of: the key of the machine file that agrees least."""

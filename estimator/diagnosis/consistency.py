@@ -16,7 +16,7 @@ import numpy as np
 from tilth.estimator.diagnosis import findings, open_numbers
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.open_numbers import NAMES, OpenEvidence
-from tilth.estimator.diagnosis.widening import Widening, widened, widening_of
+from tilth.estimator.diagnosis.widening import SEGMENT_S, WIDENING, Widening, widened, widening_of
 from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
@@ -306,7 +306,8 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
     if not decided or evidence.learned < least:  # what was known before holds
         keys = () if decided else ("turn rates and rolls",)
-        state.missing = Reason(Code.NOT_CONFIRMED, keys)
+        seconds = max((least - evidence.learned) * SEGMENT_S, 0.0 if decided else WIDENING.shortest_s)
+        state.missing = Reason(Code.NOT_CONFIRMED, keys, (seconds,))
         return
     state.judged = True
     state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else ())

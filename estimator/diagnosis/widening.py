@@ -33,8 +33,8 @@ class WideningTuning:
     """What is added to the published variances for the machine file."""
 
     odds: float = tuned(0.3, "1", "that a number of a file is wrong over that it is right, before driving")
-    """A file is as wide as this leaves it before driving tells anything: an error of two of the sds by which
-    people are wrong is then within 4 of the published ones."""
+    """With that an error as large as the sd by which people are wrong is within 4 of the published sds, also
+    where driving has told nothing of it."""
     widest: float = tuned(0.3, "1", "sd of a logarithm above which a number is not given for the file's sake")
     least: float = tuned(1.1, "1", "factor by which the file must widen a number before it is not given")
     said: float = tuned(1.2, "1", "factor from which the reason says by what a number is widened")
@@ -122,7 +122,7 @@ def _parameter(widening: Widening, k: int, given: ParameterEstimate) -> Paramete
         by_file = math.hypot(misfit, added)
         reason = Reason(Code.WIDENED, (key,), (by_file,)) if total > WIDENING.said * own else None
         return replace(given, sd=given.value * total, reason=given.reason or reason)
-    room = WIDENING.widest**2 - total**2 + added**2
+    room = _limit(own) ** 2 - own**2 - misfit**2
     if widening.doubted[k] or room <= 0.0:
         reason = Reason(Code.DOUBTED, (key,))
     else:  # variances fall with the time driven
@@ -138,4 +138,8 @@ def _of_combination(widening: Widening, one: Combination) -> float:
 
 
 def _useless(own: float, total: float) -> bool:
-    return total > max(WIDENING.widest, WIDENING.least * own)
+    return total > _limit(own)
+
+
+def _limit(own: float) -> float:
+    return max(WIDENING.widest, WIDENING.least * own)

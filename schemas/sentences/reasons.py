@@ -79,6 +79,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     ),
     Code.NOT_CONFIRMED: (
         "driving has not shown yet that the machine file is right{keys}: steer to and fro at working speed"
+        "{seconds}"
     ),
     Code.NOT_DRIVEN: "nothing has been driven yet",
     Code.DOUBTED: (
@@ -129,6 +130,7 @@ def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
         of=of,
         n=[_Number(number) for number in reason.numbers],
         keys=f" ({', '.join(of)})" if of else "",
+        seconds=f" for {reason.numbers[0]:.0f} s" if reason.numbers else "",
         others=", ".join(of[1:]),
         others_and=" and ".join(of[1:]) or "any other",
     )
