@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.models.parameters import Rig, rig_of, static_loads
+from tilth.estimator.models import upright
+from tilth.estimator.models.parameters import Rig, rig_of, static_loads, upright_axles
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
@@ -23,11 +24,10 @@ class RigSetupTuning:
 
     slow_share: float = tuned(0.3, "1", "of a position's sd, that varies slowly, in each receiver by itself")
     speed_share: float = tuned(0.4, "1", "sd of the speed over a receiver's: two of them, between fixes")
-    deflection: float = tuned(0.045, "m", "of tyres under their static load")
-    front_deflection: float = tuned(0.06, "m", "same of the front tyres: smaller, and near their rated load")
-    pivot_height: float = tuned(0.7, "m", "of the front wheels' pivot above the ground")
     damping: float = tuned(0.08, "1", "of the roll modes")
-    gyration: float = tuned(0.48, "1", "radius of gyration in roll, over the track")
+    gyration: float = tuned(0.044, "m/kg^(1/3)", "a tractor's in roll: 0.93 m of one of 9.4 t")
+    cart_gyration: float = tuned(0.48, "1", "an implement's, over its track")
+    least_upright: float = tuned(0.2, "1", "of its tyres' roll stiffness, that gravity leaves a body")
     small: float = tuned(1e-4, "1", "scale of motions for which the model is linear")
 
 
@@ -79,16 +79,23 @@ def slow_pair_sd(machine: Machine, body: str) -> float | None:
 
 
 def nominal_roll(machine: Machine) -> RollModes:
-    """What mass, CG and track let expect."""
+    """What masses, CGs, tracks and tyres let expect."""
     rig = rig_of(machine)
-    front, rear, implement = static_loads(rig)
-    k_t = rear / RIG_SETUP.deflection * (rig.w_r / 2) ** 2
-    k_i = implement / RIG_SETUP.deflection * (rig.w_i / 2) ** 2
-    j_t, j_i = rig.m_t * (RIG_SETUP.gyration * rig.w_r) ** 2, rig.m_i * (RIG_SETUP.gyration * rig.w_i) ** 2
+    front, rear, implement = upright_axles(machine)
+    pin = upright.pivot_height(machine).value
+    # The front wheels go aside with the pin: their load then rights the body.
+    k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - static_loads(rig)[0] * pin)
+    k_i = _left(implement.roll_stiffness, rig.g * rig.m_i * rig.h_i)
+    j_t = rig.m_t * (RIG_SETUP.gyration * math.cbrt(rig.m_t)) ** 2
+    j_i = rig.m_i * (RIG_SETUP.cart_gyration * rig.w_i) ** 2
     d_t = 2 * RIG_SETUP.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * RIG_SETUP.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    k_f = front / RIG_SETUP.front_deflection * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, RIG_SETUP.pivot_height, k_f)
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, pin, front.roll_stiffness)
+
+
+def _left(stiffness: float, gravity: float) -> float:
+    """Of a roll stiffness, when gravity has taken its part off."""
+    return max(stiffness - gravity, RIG_SETUP.least_upright * stiffness)
 
 
 def _heights(machine: Machine, corrected: bool) -> Array:

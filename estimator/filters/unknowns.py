@@ -13,14 +13,14 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.models import rolling_terms
-from tilth.estimator.models.parameters import GEOMETRY, geometry_of
+from tilth.estimator.models import rolling_terms, upright
+from tilth.estimator.models.parameters import GEOMETRY, TABLE_5_1, geometry_of, upright_axles
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency
 from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Mount
-from tilth.schemas.machine import Implement, Machine, Tractor
+from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
 Array = NDArray[np.float64]
 
@@ -109,14 +109,28 @@ def _level(typical: float, log_sd: float) -> Callable[[Machine], Prior]:
     return lambda machine: (float(np.log(typical)), log_sd)
 
 
-def _factor(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
+def _factor(name: str, meaning: str, sd: float | Callable[[Machine], float], acts_on: str) -> Unknown:
     """Of how the bodies roll: a factor on what rig_setup.nominal_roll says."""
-    return Unknown(name, meaning, _constant(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
+    return Unknown(name, meaning, _about_zero(sd), ActsAs.FACTOR, acts_on, needs_steering=True)
 
 
-def _sum(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
+def _sum(name: str, meaning: str, sd: float | Callable[[Machine], float], acts_on: str) -> Unknown:
     """A height, not below the ground."""
-    return Unknown(name, meaning, _constant(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
+    return Unknown(name, meaning, _about_zero(sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
+
+
+def _about_zero(sd: float | Callable[[Machine], float]) -> Callable[[Machine], Prior]:
+    return (lambda machine: (0.0, sd(machine))) if callable(sd) else _constant(0.0, sd)
+
+
+def _cg_height_sd(body: str) -> Callable[[Machine], float]:
+    """m. Nobody measures one: what stands in a file without an sd is taken to PRIOR.cg_height_sd."""
+
+    def found(machine: Machine) -> float:
+        told: Quantity = getattr(machine, body).cg_height
+        return told.sd or PRIOR.cg_height_sd
+
+    return found
 
 
 _VALUE: Final = ActsAs.VALUE
@@ -130,6 +144,7 @@ class UnknownsTuning:
     """What is known of the unknowns beyond the machine file."""
 
     roll_zero_sd: float = tuned(0.01, "rad", "zero errors of up to a degree")
+    cg_height_sd: float = tuned(0.05, "m", "of a CG's height whose sd the file does not tell")
     least_curvature: float = tuned(1e-3, "1", "of a tyre's curve")
     disturbance: tuple[float, ...] = tuned(
         (0.15, 0.15, 0.03), "m/s^2, m/s^2, rad/s^2", "a hundredth or two of the weight"
@@ -188,19 +203,35 @@ UNKNOWNS: Final = (
         "rolling", "rolling resistance over load", _constant(0.04, 0.03), _VALUE, "rolling",
         needs_steering=True,
     ),
-    _factor("roll_k_t", "logarithm: roll stiffness over the nominal", 0.6, "k_t"),
-    _factor("roll_k_i", "the same, implement", 0.6, "k_i"),
+    _factor(
+        "roll_k_t", "logarithm: roll stiffness over the nominal",
+        lambda machine: upright_axles(machine)[1].roll_log_sd, "k_t",
+    ),
+    _factor(
+        "roll_k_i", "the same, implement", lambda machine: upright_axles(machine)[2].roll_log_sd, "k_i"
+    ),
     _factor("roll_d_t", "logarithm: roll damping over the nominal", 0.8, "d_t"),
     _factor("roll_d_i", "the same, implement", 0.8, "d_i"),
     _factor("roll_j_t", "logarithm: roll inertia over the nominal", 0.4, "j_t"),
     _factor("roll_j_i", "the same, implement", 0.4, "j_i"),
-    _factor("roll_front", "logarithm: of the front axle about its pin", 0.4, "k_f"),
-    _sum("roll_pin", "m: the front axle's pin is higher than nominal", 0.15, "pivot_height"),
-    _sum("roll_hitch", "m: the drawbar is higher than nominal", 0.1, "h_h"),
-    _sum("roll_cg_t", "m: CG higher than the file says", 0.05, "h_t"),
-    _sum("roll_cg_i", "the same, implement", 0.05, "h_i"),
+    _factor(
+        "roll_front", "logarithm: of the front axle about its pin",
+        lambda machine: upright.front_log_sd(machine, upright_axles(machine)[0]), "k_f",
+    ),
+    _sum(
+        "roll_pin", "m: the front axle's pin is higher than nominal",
+        lambda machine: upright.pivot_height(machine).sd, "pivot_height",
+    ),
+    _sum(
+        "roll_hitch", "m: the drawbar is higher than nominal",
+        lambda machine: upright.hitch_height(machine, TABLE_5_1.h_h).sd, "h_h",
+    ),
+    _sum("roll_cg_t", "m: CG higher than the file says", _cg_height_sd("tractor"), "h_t"),
+    _sum("roll_cg_i", "the same, implement", _cg_height_sd("implement"), "h_i"),
+    # None on loose soil, which gives way, and up to 0.5 on a road. In a turn a body leans as it is pushed: on
+    # soft tyres 0.1 of it are 4 % of C_ar.
     Unknown(
-        "camber", "camber thrust over load and camber angle", _constant(0.2, 0.15), _VALUE, "camber",
+        "camber", "camber thrust over load and camber angle", _constant(0.12, 0.16), _VALUE, "camber",
         needs_steering=True,
     ),
     Unknown(
