@@ -21,7 +21,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -112,6 +112,7 @@ class LogRow:
     receivers: int = STAR_FIRE  # NAME of the first: at 5 or 10 Hz
     gaps: tuple[tuple[float, float], ...] = ()  # s of the run, not recorded
     informed_s: float = 0.0  # from when on what is learned is of another soil
+    rig: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # what its machine file has instead
 
 
 def base(row: LogRow, seed: int, have: Drawn) -> Scenario:
@@ -142,6 +143,9 @@ def machine_of(row: LogRow, seed: int, have: Drawn) -> str:
         implement = raw["implement"]
         implement["yaw_inertia"] *= HEAVY / implement["mass"]["value"]
         implement["mass"] = {"value": HEAVY, "sd": HEAVY / 10}
+    for section, values in row.rig.items():
+        first, _, second = section.partition(".")
+        (raw[first][second] if second else raw[first]).update(values)
     return text_of(raw)
 
 

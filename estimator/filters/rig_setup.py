@@ -83,14 +83,14 @@ def nominal_roll(machine: Machine) -> RollModes:
     rig = rig_of(machine)
     front, rear, implement = upright_axles(machine)
     pin = upright.pivot_height(machine).value
-    # The front wheels go aside with the pin: their load then rights the body.
-    k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - static_loads(rig)[0] * pin)
+    on_pin = static_loads(rig)[0] * pin  # it tips the front axle, and rights the body that hangs on the pin
+    k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - on_pin)
     k_i = _left(implement.roll_stiffness, rig.g * rig.m_i * rig.h_i)
     j_t = rig.m_t * (RIG_SETUP.gyration * math.cbrt(rig.m_t)) ** 2
     j_i = rig.m_i * (RIG_SETUP.cart_gyration * rig.w_i) ** 2
     d_t = 2 * RIG_SETUP.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * RIG_SETUP.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, pin, front.roll_stiffness)
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, pin, _left(front.roll_stiffness, on_pin))
 
 
 def _left(stiffness: float, gravity: float) -> float:

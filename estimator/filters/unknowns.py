@@ -228,10 +228,8 @@ UNKNOWNS: Final = (
     ),
     _sum("roll_cg_t", "m: CG higher than the file says", _cg_height_sd("tractor"), "h_t"),
     _sum("roll_cg_i", "the same, implement", _cg_height_sd("implement"), "h_i"),
-    # None on loose soil, which gives way, and up to 0.5 on a road. In a turn a body leans as it is pushed: on
-    # soft tyres 0.1 of it are 4 % of C_ar.
     Unknown(
-        "camber", "camber thrust over load and camber angle", _constant(0.12, 0.16), _VALUE, "camber",
+        "camber", "camber thrust over load and camber angle", _constant(0.2, 0.15), _VALUE, "camber",
         needs_steering=True,
     ),
     Unknown(
