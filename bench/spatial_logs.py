@@ -21,7 +21,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -116,6 +116,7 @@ class LogRow:
     fleet: bool = False  # whether each seed is a rig of simulator/fleet.py
     gaps: tuple[tuple[float, float], ...] = ()  # s of the run, not recorded
     informed_s: float = 0.0  # from when on what is learned is of another soil
+    rig: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # what its machine file has instead
 
 
 def base(row: LogRow, seed: int, have: Drawn) -> Scenario:
@@ -146,6 +147,9 @@ def machine_of(row: LogRow, seed: int, have: Drawn) -> str:
         implement = raw["implement"]
         implement["yaw_inertia"] *= HEAVY / implement["mass"]["value"]
         implement["mass"] = {"value": HEAVY, "sd": HEAVY / 10}
+    for section, values in row.rig.items():
+        first, _, second = section.partition(".")
+        (raw[first][second] if second else raw[first]).update(values)
     return text_of(raw)
 
 
