@@ -26,6 +26,9 @@ c = {FILL_IN}: to the hitch, behind, m
 mass = {FILL_IN}: kg, as driven, with ballast
 yaw_inertia = {FILL_IN}: kg m^2
 cg_height = {FILL_IN}: above the ground, m
+# hitch_height = 0.5                # of drawbar or ball above the ground, m
+# pivot_height = 0.7                # of the pin on which the front axle swings, above the ground, m
+# suspended_front_axle = true       # where it has springs
 
 [implement]
 d = {FILL_IN}: hitch to its CG, m
@@ -35,6 +38,15 @@ yaw_inertia = {FILL_IN}: kg m^2
 cg_height = {FILL_IN}: above the ground, m
 
 # Priors of whole axles: these are of a 150 kW tractor with a grain cart. Their size has to be right, no more.
+# Take off the # of the lines below them and give your own: they tell how far the rig leans in a turn, without
+# which stiffnesses and lengths are less certain. Deflection: a free tyre's radius less the height of its hub.
+"""
+_STANDING = """\
+# track = 1.93                      # between the middles of both tyres, of duals of the inner ones, m
+# dual_track = 3.05                 # the same of the outer tyres of dual wheels, m
+# deflection = 0.06                 # by how much the load presses the tyres in, m; or instead of it:
+# size = "520/85R42"                # as printed on the tyre,
+# pressure = 1.2                    # and what is in it, bar
 """
 _PRIORS = (("front", 220e3, 1.1), ("rear", 486e3, 1.5), ("implement", 167e3, 1.1))
 
@@ -49,7 +61,7 @@ def draft(findings: Findings, buses: Sequence[Bus]) -> str:
             f"[tyres.{axle}]\n"
             f"cornering_stiffness = {stiffness:g}      # N/rad\n"
             f"relaxation_length = {length:g}            # m\n"
-            "log_sd = 0.7\n"
+            "log_sd = 0.7\n" + _STANDING
         )
     parts += [_bus(name, opened.get(name)) for name in findings.buses or tuple(opened)]
     parts += _receivers(findings)

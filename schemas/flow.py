@@ -351,7 +351,7 @@ class ParameterEstimate:
     value: float | None
     sd: float | None
     status: Status
-    reason: Reason | None  # why there is no number, or why it must not be used
+    reason: Reason | None  # why there is no number, why it must not be used, or what it is widened by
     age_s: float | None = None  # since data last informed it
 
 

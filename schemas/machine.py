@@ -14,6 +14,7 @@ from tilth.schemas.bus_name import BUS_NAME
 from tilth.schemas.flow import Mount
 from tilth.schemas.log_settings import Log
 from tilth.schemas.section import Section as _Section
+from tilth.schemas.tyre_size import tyre_size
 
 
 class MachineError(Exception):
@@ -81,6 +82,15 @@ class Tractor(_Section):
         default=Quantity(value=0.8, sd=0.3),
         description="how far the front wheels turn towards one centre: 1 as by Ackermann, 0 by equal angles",
     )
+    hitch_height: Annotated[Quantity, _quantity(0.03)] | None = Field(
+        default=None, description="of drawbar or ball, where the implement pulls, above the ground, m"
+    )
+    pivot_height: Annotated[Quantity, _quantity(0.03)] | None = Field(
+        default=None, description="of the pin on which the front axle swings, above the ground, m"
+    )
+    suspended_front_axle: bool = Field(
+        default=False, description="true where the front axle has springs: its pin and tilt are less certain"
+    )
     wheel_speed_factor: Annotated[Quantity, _quantity(0.005)] | None = Field(
         default=None,
         description="wheel-based speed (PGN 65096) over ground speed at no slip; other tyres change it",
@@ -121,11 +131,37 @@ class Implement(_Section):
 
 
 class Tyre(_Section):
-    """Prior of one axle: log-normal about these values."""
+    """Of one axle: the prior, log-normal about two values, and how its tyres hold the rig upright."""
 
     cornering_stiffness: float = Field(gt=0, description="whole axle, N/rad")
     relaxation_length: float = Field(gt=0, description="m")
     log_sd: float = Field(default=0.7, gt=0, description="sd of the natural logarithm of both")
+    track: Taped | None = Field(
+        default=None, description="between the middles of left and right tyre, of duals of the inner ones, m"
+    )
+    dual_track: Taped | None = Field(
+        default=None, description="the same of the outer tyres of dual wheels, m; needs track"
+    )
+    deflection: Annotated[Quantity, _quantity(default_share=0.15)] | None = Field(
+        default=None,
+        description="by how much the load presses the tyres in, m: free radius less the height of the hub",
+    )
+    size: str | None = Field(
+        default=None, description="printed on the side, such as 520/85R42; with pressure, not with deflection"
+    )
+    pressure: float | None = Field(default=None, gt=0, description="in the tyres, bar; with size")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.size is None) != (self.pressure is None):
+            raise ValueError("size and pressure go together: either alone tells nothing of the stiffness")
+        if self.size is not None:
+            tyre_size(self.size)
+            if self.deflection is not None:
+                raise ValueError("give deflection, or size and pressure: what is measured is better")
+        if self.dual_track is not None and (self.track is None or self.dual_track.value <= self.track.value):
+            raise ValueError("dual_track is of the outer tyres: it needs track, of the inner ones, below it")
+        return self
 
 
 class Tyres(_Section):

@@ -12,6 +12,7 @@ from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, spread_judged, with_unit
 from tilth.schemas.machine import Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
 from tilth.schemas.plausible_wheel import wheel_doubts
+from tilth.schemas.tyre_size import tyre_size, upright_stiffness
 
 GRAVITY: Final = 9.80665  # m/s^2
 COEFFICIENT: Final = (0.3, 40.0)  # cornering stiffness over axle load, 1/rad: beyond, it is no tyre
@@ -152,6 +153,7 @@ def _standing(machine: Machine) -> Iterator[Doubt]:
         yield Doubt(f"{text}; check a, b, c, d, e and both masses", False)
     for (axle, tyre), load in zip(_tyres(machine), loads, strict=True):
         yield from _stiffness(axle, tyre.cornering_stiffness, load)
+        yield from _pressed_in(axle, tyre, load)
 
 
 def _stiffness(axle: str, stiffness: float, load: float) -> Iterator[Doubt]:
@@ -168,6 +170,22 @@ def _stiffness(axle: str, stiffness: float, load: float) -> Iterator[Doubt]:
         ),
         refused,
     )
+
+
+def _pressed_in(axle: str, tyre: Tyre, load: float) -> Iterator[Doubt]:
+    """By how much, as size and pressure let expect."""
+    if tyre.size is None or tyre.pressure is None:
+        return
+    wheels = 2 if tyre.dual_track is None else 4
+    pressed_in = load / wheels / upright_stiffness(tyre_size(tyre.size), tyre.pressure)
+    row = LIMITS["tyres.deflection"]
+    if not row.usual[0] <= pressed_in <= row.usual[1]:
+        yield Doubt(
+            f"tyres.{axle}: by size and pressure its load of {load / 1e3:.3g} kN presses the tyres in by "
+            f"{1e3 * pressed_in:.0f} mm, {1e3 * row.usual[0]:g} to {1e3 * row.usual[1]:g} is usual; check "
+            "size, pressure and masses",
+            False,
+        )
 
 
 # Where receivers stand.

@@ -81,10 +81,15 @@ class Code(StrEnum):
     NO_RELAXATION = "no_relaxation"
     ON_UNIDENTIFIABLE = "on_unidentifiable"
     NOT_CONFIRMED = "not_confirmed"
-    """of: keys of the machine file that driving has not confirmed yet, or none."""
+    """of: keys that driving has not confirmed yet, or none. numbers: s of steering; or none."""
     NOT_DRIVEN = "not_driven"
     DOUBTED = "doubted"
     """of: the key of the machine file that agrees least."""
+    NOT_EXCLUDED = "not_excluded"
+    """of: a key of the machine file. numbers: sd of the logarithm with an error of it that driving has not
+    excluded; s of steering that would."""
+    WIDENED = "widened"
+    """There is a number. of: a key of the machine file. numbers: sd of the logarithm that is added for it."""
 
     # Which method is recommended: the rule. of: the method, and then others.
     FIRST_WITH_NUMBERS = "first_with_numbers"
@@ -95,6 +100,8 @@ class Code(StrEnum):
     """numbers: s since pem's last window."""
     NO_WINDOW = "no_window"
     CLAIMS_LESS = "claims_less"
+    """Of old logs."""
+    KNOWS_MORE = "knows_more"
     NO_METHOD = "no_method"
     DISAGREE = "disagree"
     """of: two methods. numbers: squared distance, parameters both have, what chance allows."""

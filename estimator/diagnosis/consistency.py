@@ -2,8 +2,8 @@
 
 Each check compares the data with one part of the file: positions of receivers, their roll correction, the
 wheel angle against the yaw rate; and, by the open tracker (methods/open_tracker.py), lengths, wheel angle,
-latency and inertias. A failed check names the key of the file (findings.py). Before the driving was such that
-a gross error would have shown, no estimate is published either: a wrong file must never lead to a number.
+latency and inertias. A failed check names the key of the file (findings.py). What the file may still be wrong
+by makes the numbers wider, or withholds them (widening.py).
 """
 
 import math
@@ -16,6 +16,7 @@ import numpy as np
 from tilth.estimator.diagnosis import findings, open_numbers
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.open_numbers import NAMES, OpenEvidence
+from tilth.estimator.diagnosis.widening import SEGMENT_S, WIDENING, Widening, widened, widening_of
 from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
@@ -58,6 +59,11 @@ class ConsistencyTuning:
     least_segments: int = tuned(
         40, "segments", "8 s, from which the open tracker has learned before it is used"
     )
+    least_after_restart: int = tuned(
+        100,
+        "segments",
+        "same (20 s) after it began anew for what it had found",
+    )
     nuisance_sds: float = tuned(6.0, "sd", "by which a nuisance of a method may differ from a right file")
 
 
@@ -75,12 +81,14 @@ class Consistency:
     wheel: WheelCheck = field(default_factory=WheelCheck)
     motion: MotionCheck = field(default_factory=MotionCheck)
     cases: dict[str, FaultCase] = field(default_factory=dict)  # by key
-    confirmed: bool = False
+    confirmed: bool = False  # no error of the file that driving has not excluded would matter
+    judged: bool = False  # it is known what such errors add
+    widening: Widening = field(default_factory=Widening)
     was_confirmed: bool = False  # at some time of this run
     pairs_known: bool = (
         False  # it was, and since then a receiver is left out: one alone shows no yaw of a pair
     )
-    missing: Reason = NOT_DRIVEN  # why the file is not confirmed
+    missing: Reason = NOT_DRIVEN  # why that is not known
     agrees: Persistence = field(default_factory=Persistence)  # poses in which the open tracker does
     rates_known: bool = False  # the lag of turn rates is known: smoothed ones would make lengths look wrong
     methods: dict[str, list[Diagnosis]] = field(default_factory=dict)  # of their latest estimates
@@ -103,7 +111,7 @@ def observe(
     by_method = _by_key(one for wrong in state.methods.values() for one in wrong)
     if found and not any(key in state.cases for key in by_method):
         by_method = {}  # a consequence of what the other checks have found
-    return _update(state, machine, {**found, **by_method}, evidence, pose.t_ns)
+    return _update(state, {**found, **by_method}, evidence, pose.t_ns)
 
 
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
@@ -139,9 +147,9 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     if why := contradictions(state) or state.methods.get(estimate.method, []):
         reason = Reason(Code.CONTRADICTED, because=tuple(one.reason for one in why))
         return _without_numbers(estimate, Status.INVALID, reason)
-    if not state.confirmed:
+    if not state.judged and not state.confirmed:
         return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
-    return estimate
+    return widened(state.widening, estimate)
 
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
@@ -168,7 +176,7 @@ def discard_findings(state: Consistency, confirmed: bool = False) -> None:
     state.cases = {
         key: case for key, case in state.cases.items() if case.latest.code not in OF_OPEN_NUMBERS
     }  # fmt: skip
-    state.methods, state.confirmed = {}, confirmed
+    state.methods, state.confirmed, state.judged = {}, confirmed, confirmed
 
 
 def left_out(state: Consistency) -> None:
@@ -247,7 +255,7 @@ def _rejected(evidence: OpenEvidence) -> list[Diagnosis]:
 
 
 def _update(
-    state: Consistency, machine: Machine, found: Mapping[str, Diagnosis], evidence: OpenEvidence, t_ns: int
+    state: Consistency, found: Mapping[str, Diagnosis], evidence: OpenEvidence, t_ns: int
 ) -> Directive:
     """Update the cases with the findings of one pose."""
     directive = Directive()
@@ -260,7 +268,7 @@ def _update(
             evidence = _restart_open(state, directive, evidence)
             del state.cases[key]
             continue
-        state.confirmed = False
+        state.confirmed = state.judged = False
         directive.events.append((CONTRADICTION, reasoned(one.reason, NoticeCode.CONTRADICTED)))
     for key, case in list(state.cases.items()):
         if key in found or not case.missing(CONSISTENCY.poses_to_end):
@@ -275,7 +283,7 @@ def _update(
             if case.latest.code not in OF_OPEN_NUMBERS:  # it has learned of it as well
                 directive.reset_open, evidence = True, evidence.restarted()
     if not contradictions(state):
-        _update_confirmation(state, machine, evidence)
+        _update_confirmation(state, evidence)
     directive.withhold = stops_learning(state)
     return directive
 
@@ -289,29 +297,20 @@ def _restart_open(state: Consistency, directive: Directive, evidence: OpenEviden
     return evidence.restarted()
 
 
-def _update_confirmation(state: Consistency, machine: Machine, evidence: OpenEvidence) -> None:
-    """Decide whether driving has confirmed the file; after a long doubt the confirmation is withdrawn."""
-    misfit, fits = evidence.misfit, _fits(evidence, CONSISTENCY.ends)
-    state.agrees.look(fits)
+def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
+    """What the file may still be wrong by. A confirmation is withdrawn after a long doubt."""
+    state.agrees.look(_fits(evidence, CONSISTENCY.ends))
+    decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
+    least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
+    if not decided or evidence.learned < least:  # what was known before holds
+        keys = () if decided else ("turn rates and rolls",)
+        seconds = max((least - evidence.learned) * SEGMENT_S, 0.0 if decided else WIDENING.shortest_s)
+        state.missing = Reason(Code.NOT_CONFIRMED, keys, (seconds,))
+        return
+    state.judged = True
+    state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else ())
     if state.confirmed:
         state.confirmed = state.agrees.absent < CONSISTENCY.poses_to_doubt
-        state.missing = _doubt_reason(evidence)
-        return
-    known = open_numbers.OF_PAIRS if state.pairs_known else ()
-    unconfirmed_names = [name for name in open_numbers.unconfirmed(misfit, machine) if name not in known]
-    decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
-    long_enough = state.agrees.seen >= CONSISTENCY.poses_to_confirm
-    long_enough &= evidence.learned >= CONSISTENCY.least_segments
-    state.confirmed = not unconfirmed_names and long_enough and decided
-    state.open_restarted &= not state.confirmed
-    if not unconfirmed_names and not fits:
-        state.missing = _doubt_reason(evidence)
-        return
-    keys = tuple(NUMBER[name].key for name in unconfirmed_names[:2])
-    if not keys and not decided:
-        keys = ("turn rates and rolls",)
-    state.missing = Reason(Code.NOT_CONFIRMED, keys)
-
-
-def _doubt_reason(evidence: OpenEvidence) -> Reason:
-    return Reason(Code.DOUBTED, (NUMBER[NAMES[int(np.argmax(evidence.misfit.by_name))]].key,))
+    else:
+        state.confirmed = state.widening.confirms and state.agrees.seen >= CONSISTENCY.poses_to_confirm
+        state.open_restarted &= not state.confirmed

@@ -14,7 +14,6 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.rig.numbers import NUMBERS, names
-from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -25,16 +24,6 @@ NAMES: Final = names(OPEN)
 OF_PAIRS: Final = names(row for row in OPEN if row.in_rows and row.place)
 
 
-@dataclass(frozen=True, slots=True)
-class OpenNumberTuning:
-    """When a gross error is ruled out."""
-
-    certain: float = tuned(2.33, "sd", "by which data must be off each gross error: one in a hundred passes")
-
-
-OPEN_NUMBERS: Final = OpenNumberTuning()
-
-
 class Misfit(NamedTuple):
     """Difference between what the open tracker finds and the file. Arrays in the order of OPEN."""
 
@@ -42,7 +31,9 @@ class Misfit(NamedTuple):
     by_name: Array  # [n]; decrease of `total` if this number alone is freed
     off: Array  # [n]; result minus the file's value, in the unit of each
     sd: Array  # [n]; of the result
-    alone: Array  # [n]; sd of the difference if all other numbers are right, with the error that is allowed
+    found: Array  # [n]; error of each number if it alone is wrong
+    alone: Array  # [n]; sd of that, with the error that is allowed
+    moves: Array  # [6, n]; of the six logarithms, learned with the file's values, by an error of each number
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,40 +52,34 @@ class OpenEvidence:
 
 
 def misfit_of(off: Array, covariance: Array, machine: Machine) -> Misfit:
-    """off: [n], what is found minus what the file says. covariance: [n, n], of that."""
-    inverse = np.linalg.inv(covariance + np.diag(allowed(machine) ** 2))
+    """off: [n], what is found minus what the file says. covariance: [6 + n, 6 + n], of the six logarithms and
+    of what is found."""
+    own = covariance[6:, 6:]
+    inverse = np.linalg.inv(own + np.diag(allowed(machine) ** 2))
     solved = inverse @ off
     precision = np.diag(inverse)
     return Misfit(
         float(off @ solved),
         solved**2 / precision,
         off,
-        np.sqrt(np.diag(covariance)),
+        np.sqrt(np.diag(own)),
+        solved / precision,
         1.0 / np.sqrt(precision),
+        covariance[:6, 6:] @ np.linalg.inv(own + np.diag(_stated(machine) ** 2)),
     )
+
+
+def _stated(machine: Machine) -> Array:
+    """Sds that the file gives, [n] in the order of OPEN: the methods have these."""
+    return unknowns.prior(machine)[1][[AT[name] for name in NAMES]]
 
 
 @once_for_a_machine
 def allowed(machine: Machine) -> Array:
     """Sd by which a right file may differ from the result, [n] in the order of OPEN."""
-    _, stated = unknowns.prior(machine)
-    out = np.array([math.hypot(stated[AT[row.name]], row.allowed_sd) for row in OPEN])
+    out = np.hypot(_stated(machine), [row.allowed_sd for row in OPEN])
     for k, row in enumerate(OPEN):
         if row.cg_of:
             length = 1.0 if row.value is None else row.value(machine)
             out[k] = math.hypot(out[k], getattr(machine, row.cg_of).cg_sd / length)
     return out
-
-
-def unconfirmed(now: Misfit, machine: Machine) -> list[str]:
-    """The names of which a gross error would not show yet, the largest sd relative to its limit first."""
-    ratio: dict[str, float] = {}
-    for k, row in enumerate(OPEN):
-        if not row.confirming_sd:
-            continue
-        ratio[row.name] = float(now.sd[k]) / row.confirming_sd
-        if row.gross:
-            size = math.log1p(row.gross / (1.0 if row.value is None else row.value(machine)))
-            off = size / float(now.alone[k]) - math.sqrt(float(now.by_name[k]))
-            ratio[row.name] = max(ratio[row.name], OPEN_NUMBERS.certain / max(off, 1e-3))
-    return sorted((name for name, excess in ratio.items() if excess > 1.0), key=lambda name: -ratio[name])

@@ -11,11 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from tilth.estimator.models.parameters import GEOMETRY
+from tilth.estimator.models import upright
+from tilth.estimator.models.parameters import GEOMETRY, TABLE_5_1, upright_axles
 from tilth.estimator.pose import latency
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
-from tilth.schemas.machine import Implement, Machine, Tractor
+from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
 Prior = tuple[float, float]  # mean, sd
 
@@ -25,6 +26,7 @@ class PriorTuning:
     """What is known of the unknowns beyond the machine file."""
 
     roll_zero_sd: float = tuned(0.01, "rad", "zero errors of up to a degree")
+    cg_height_sd: float = tuned(0.05, "m", "of a CG's height whose sd the file does not tell")
     least_curvature: float = tuned(1e-3, "1", "of a tyre's curve")
     disturbance: tuple[float, ...] = tuned(
         (0.15, 0.15, 0.03), "m/s^2, m/s^2, rad/s^2", "a hundredth or two of the weight"
@@ -85,6 +87,36 @@ def surveyed(k: int) -> Callable[[Machine], Prior]:
         t, i = machine.tractor, machine.implement
         quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
         return 0.0, quantity.sd if GEOMETRY[k] == "e" else quantity.sd / abs(quantity.value)
+
+    return found
+
+
+def roll_stiffness(axle: int) -> Callable[[Machine], Prior]:
+    """Factor on that of front, rear or implement's axle: its logarithm."""
+    return lambda machine: (0.0, upright_axles(machine)[axle].roll_log_sd)
+
+
+def front_axle(machine: Machine) -> Prior:
+    """Factor on the front axle's stiffness about its pin: its logarithm."""
+    return 0.0, upright.front_log_sd(machine, upright_axles(machine)[0])
+
+
+def pin(machine: Machine) -> Prior:
+    """What the front axle's pin is higher than nominal, m."""
+    return 0.0, upright.pivot_height(machine).sd
+
+
+def hitch(machine: Machine) -> Prior:
+    """What the hitch is higher than nominal, m."""
+    return 0.0, upright.hitch_height(machine, TABLE_5_1.h_h).sd
+
+
+def cg_height(body: str) -> Callable[[Machine], Prior]:
+    """What a CG is higher than the file says, m. Nobody measures one: so without an sd it has one of ours."""
+
+    def found(machine: Machine) -> Prior:
+        told: Quantity = getattr(machine, body).cg_height
+        return 0.0, told.sd or PRIOR.cg_height_sd
 
     return found
 

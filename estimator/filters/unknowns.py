@@ -18,10 +18,15 @@ from tilth.estimator.filters.priors import (
     PAIR_SD,
     PRIOR,
     Prior,
+    cg_height,
     common_latency,
     constant,
+    front_axle,
+    hitch,
     level,
+    pin,
     roll_compensation,
+    roll_stiffness,
     roll_zero,
     survey,
     surveyed,
@@ -61,14 +66,14 @@ class Unknown(NamedTuple):
     doubted: bool = False  # such errors move it far: what goes beyond half of the prior's sd rather is one
 
 
-def _factor(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
+def _factor(name: str, meaning: str, prior: Callable[[Machine], Prior], acts_on: str) -> Unknown:
     """Of how the bodies roll: a factor on what roll_stiffness.nominal_roll says."""
-    return Unknown(name, meaning, constant(0.0, sd), ActsAs.FACTOR, acts_on, needs_steering=True)
+    return Unknown(name, meaning, prior, ActsAs.FACTOR, acts_on, needs_steering=True)
 
 
-def _sum(name: str, meaning: str, sd: float, acts_on: str) -> Unknown:
+def _sum(name: str, meaning: str, prior: Callable[[Machine], Prior], acts_on: str) -> Unknown:
     """A height, not below the ground."""
-    return Unknown(name, meaning, constant(0.0, sd), ActsAs.SUM, acts_on, 0.0, needs_steering=True)
+    return Unknown(name, meaning, prior, ActsAs.SUM, acts_on, 0.0, needs_steering=True)
 
 
 _VALUE: Final = ActsAs.VALUE
@@ -120,17 +125,17 @@ UNKNOWNS: Final = (
         "rolling", "rolling resistance over load", constant(0.04, 0.03), _VALUE, "rolling",
         needs_steering=True,
     ),
-    _factor("roll_k_t", "logarithm: roll stiffness over the nominal", 0.6, "k_t"),
-    _factor("roll_k_i", "the same, implement", 0.6, "k_i"),
-    _factor("roll_d_t", "logarithm: roll damping over the nominal", 0.8, "d_t"),
-    _factor("roll_d_i", "the same, implement", 0.8, "d_i"),
-    _factor("roll_j_t", "logarithm: roll inertia over the nominal", 0.4, "j_t"),
-    _factor("roll_j_i", "the same, implement", 0.4, "j_i"),
-    _factor("roll_front", "logarithm: of the front axle about its pin", 0.4, "k_f"),
-    _sum("roll_pin", "m: the front axle's pin is higher than nominal", 0.15, "pivot_height"),
-    _sum("roll_hitch", "m: the drawbar is higher than nominal", 0.1, "h_h"),
-    _sum("roll_cg_t", "m: CG higher than the file says", 0.05, "h_t"),
-    _sum("roll_cg_i", "the same, implement", 0.05, "h_i"),
+    _factor("roll_k_t", "logarithm: roll stiffness over the nominal", roll_stiffness(1), "k_t"),
+    _factor("roll_k_i", "the same, implement", roll_stiffness(2), "k_i"),
+    _factor("roll_d_t", "logarithm: roll damping over the nominal", constant(0.0, 0.8), "d_t"),
+    _factor("roll_d_i", "the same, implement", constant(0.0, 0.8), "d_i"),
+    _factor("roll_j_t", "logarithm: roll inertia over the nominal", constant(0.0, 0.4), "j_t"),
+    _factor("roll_j_i", "the same, implement", constant(0.0, 0.4), "j_i"),
+    _factor("roll_front", "logarithm: of the front axle about its pin", front_axle, "k_f"),
+    _sum("roll_pin", "m: the front axle's pin is higher than nominal", pin, "pivot_height"),
+    _sum("roll_hitch", "m: the drawbar is higher than nominal", hitch, "h_h"),
+    _sum("roll_cg_t", "m: CG higher than the file says", cg_height("tractor"), "h_t"),
+    _sum("roll_cg_i", "the same, implement", cg_height("implement"), "h_i"),
     Unknown(
         "camber", "camber thrust over load and camber angle", constant(0.2, 0.15), _VALUE, "camber",
         needs_steering=True,

@@ -28,6 +28,7 @@ from tilth.schemas.reasons import Code
 Array = NDArray[np.float64]
 
 PLACES: Final = [AT[name] for name in NAMES]
+_SIX_AND_OPEN: Final = [*range(6), *PLACES]
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +132,7 @@ def _fade(state: TrackerState) -> None:
 def misfit(state: TrackerState, machine: Machine) -> Misfit:
     """The present difference from the machine file."""
     off = (state.mean - state.prior_mean)[PLACES]
-    return misfit_of(off, state.covariance[np.ix_(PLACES, PLACES)], machine)
+    return misfit_of(off, state.covariance[np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)], machine)
 
 
 def is_rough(state: TrackerState) -> bool:

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.models.upright import AxleUpright, axles_upright, hitch_height
 from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.limits import LIMITS
@@ -40,7 +41,8 @@ _STIFFNESS = _AT["tyres.cornering_stiffness"]
 _RELAXATION = _AT["tyres.relaxation_length"]
 _T = "Table 5.1"
 _FILE = "machine file; default of deploy/machines/jd7930-parker500.toml"
-_ROW = "assumed: tyres 76 inches apart, as on row crops"
+_CART = "machine file; default: a grain cart"
+_ROW = "machine file; default: tyres 76 inches apart, as on row crops"
 _GRIP = "assumed: tyre on firm soil; eq. 5.34, where it is A"
 _ROLL = "ASABE D497, motion resistance ratio of firm soil without slip, 1/55 + 0.04"
 
@@ -65,10 +67,10 @@ RIG_PARAMETERS: Final = (
     Parameter("sigma_i", "σ_i", "m", *_RELAXATION, 0.75, "relaxation length, implement's tyres", _T),
     Parameter("h_t", "h^t", "m", *_AT["tractor.cg_height"], 1.1, "height of the tractor's CG", _FILE),
     Parameter("h_i", "h^i", "m", *_AT["implement.cg_height"], 1.2, "height of the implement's CG", _FILE),
-    Parameter("h_h", "h_p", "m", 0.1, 1.5, 0.5, "height of the hitch", "assumed: a drawbar"),
-    Parameter("w_f", "w_f", "m", 0.8, 4.0, 1.93, "track width, tractor's front axle", _ROW),
-    Parameter("w_r", "w_r", "m", 0.8, 4.0, 1.93, "track width, tractor's rear axle", _ROW),
-    Parameter("w_i", "w_i", "m", 0.8, 6.0, 2.5, "track width, implement", "assumed: a grain cart"),
+    Parameter("h_h", "h_p", "m", 0.1, 1.5, 0.5, "height of the hitch", "machine file; default: a drawbar"),
+    Parameter("w_f", "w_f", "m", 0.8, 5.2, 1.93, "track width, tractor's front axle", _ROW),
+    Parameter("w_r", "w_r", "m", 0.8, 5.2, 1.93, "track width, tractor's rear axle", _ROW),
+    Parameter("w_i", "w_i", "m", 0.8, 6.0, 2.5, "track width, implement", _CART),
     Parameter("roll_share_f", "–", "1", 0.0, 1.0, 0.1, "share of the tractor's roll moment that its front "
               "axle carries", "assumed: the axle swings on a pivot until it meets its stop"),
     Parameter("grip_f", "A_f", "1", 0.1, math.inf, 0.7, "largest lateral over vertical force, front", _GRIP),
@@ -164,6 +166,7 @@ def rig_of(machine: Machine) -> Rig:
     """
     tractor, implement, tyres = machine.tractor, machine.implement, machine.tyres
     axles = (tyres.front, tyres.rear, tyres.implement)
+    front, rear, towed = upright_axles(machine)
     return checked(
         TABLE_5_1._replace(
             **dict(zip(GEOMETRY, geometry_of(machine).tolist(), strict=True)),
@@ -171,8 +174,17 @@ def rig_of(machine: Machine) -> Rig:
             **dict(zip(PARAMETERS[3:], (t.relaxation_length for t in axles), strict=True)),
             h_t=tractor.cg_height.value,
             h_i=implement.cg_height.value,
+            h_h=hitch_height(machine, TABLE_5_1.h_h).value,
+            w_f=front.track,
+            w_r=rear.track,
+            w_i=towed.track,
         )
     )
+
+
+def upright_axles(machine: Machine) -> tuple[AxleUpright, AxleUpright, AxleUpright]:
+    """Of front, rear and implement's axle, by the machine file and the tracks of TABLE_5_1."""
+    return axles_upright(machine, (TABLE_5_1.w_f, TABLE_5_1.w_r, TABLE_5_1.w_i))
 
 
 def geometry_of(machine: Machine) -> Array:

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.models import upright
+from tilth.estimator.models.parameters import rig_of, static_loads, upright_axles
 from tilth.estimator.tuning import tuned
 from tilth.schemas.machine import Machine
 
@@ -13,11 +14,10 @@ from tilth.schemas.machine import Machine
 class RollTuning:
     """What rolls of rigs have in common. Each is unknown to a filter, as a factor or a sum (`UNKNOWNS`)."""
 
-    deflection: float = tuned(0.045, "m", "of tyres under their static load")
-    front_deflection: float = tuned(0.06, "m", "same of the front tyres: smaller, and near their rated load")
-    pivot_height: float = tuned(0.7, "m", "of the front wheels' pivot above the ground")
     damping: float = tuned(0.08, "1", "of the roll modes")
-    gyration: float = tuned(0.48, "1", "radius of gyration in roll, over the track")
+    gyration: float = tuned(0.044, "m/kg^(1/3)", "a tractor's in roll: 0.93 m of one of 9.4 t")
+    cart_gyration: float = tuned(0.48, "1", "an implement's, over its track")
+    least_upright: float = tuned(0.2, "1", "of its tyres' roll stiffness, that gravity leaves a body")
 
 
 ROLL: Final = RollTuning()
@@ -37,13 +37,20 @@ class RollModes(NamedTuple):
 
 
 def nominal_roll(machine: Machine) -> RollModes:
-    """What mass, CG and track let expect."""
+    """What masses, CGs, tracks and tyres let expect."""
     rig = rig_of(machine)
-    front, rear, implement = static_loads(rig)
-    k_t = rear / ROLL.deflection * (rig.w_r / 2) ** 2
-    k_i = implement / ROLL.deflection * (rig.w_i / 2) ** 2
-    j_t, j_i = rig.m_t * (ROLL.gyration * rig.w_r) ** 2, rig.m_i * (ROLL.gyration * rig.w_i) ** 2
+    front, rear, implement = upright_axles(machine)
+    pin = upright.pivot_height(machine).value
+    on_pin = static_loads(rig)[0] * pin  # it tips the front axle, and rights the body that hangs on the pin
+    k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - on_pin)
+    k_i = _left(implement.roll_stiffness, rig.g * rig.m_i * rig.h_i)
+    j_t = rig.m_t * (ROLL.gyration * math.cbrt(rig.m_t)) ** 2
+    j_i = rig.m_i * (ROLL.cart_gyration * rig.w_i) ** 2
     d_t = 2 * ROLL.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * ROLL.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    k_f = front / ROLL.front_deflection * (rig.w_f / 2) ** 2
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, ROLL.pivot_height, k_f)
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, pin, _left(front.roll_stiffness, on_pin))
+
+
+def _left(stiffness: float, gravity: float) -> float:
+    """Of a roll stiffness, when gravity has taken its part off."""
+    return max(stiffness - gravity, ROLL.least_upright * stiffness)

@@ -15,7 +15,7 @@ from typing import Final
 
 from tilth.estimator.models.parameters import TABLE_5_1
 from tilth.schemas.flow import BodyFrames, BodyPose, Drawing, Mount, Pose, Solid, Transform
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, Tyre
 
 WORLD: Final = "world"
 _BODY: Final = {mount: mount.value.partition("_")[0] for mount in Mount}  # the body that a receiver is on
@@ -45,7 +45,7 @@ def body_frames(machine: Machine, pose: Pose) -> BodyFrames | None:
         rotation = _yaw_quaternion(-pose.wheel_angle)
         transforms += [
             Transform("tractor", f"tractor_front_{side}", (tractor.a.value, y, up), rotation)
-            for side, y in _sides(TABLE_5_1.w_f)
+            for side, y in _sides(machine.tyres.front, TABLE_5_1.w_f)
             for up in (_FRONT[0] / 2 - tractor.cg_height.value,)
         ]
     return BodyFrames(pose.t_ns, tuple(transforms))
@@ -67,7 +67,8 @@ def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:
     return 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)
 
 
-def _sides(width: float) -> tuple[tuple[str, float], tuple[str, float]]:
+def _sides(tyres: Tyre, usual: float) -> tuple[tuple[str, float], tuple[str, float]]:
+    width = usual if tyres.track is None else tyres.track.value
     return ("left", width / 2), ("right", -width / 2)
 
 
@@ -91,11 +92,11 @@ def _tractor(machine: Machine) -> list[Solid]:
         box("drawbar", -c, -b, 0.4, 0.5, 0.1),
         *(
             _wheel("tractor", f"rear_{side}", (-b, y, ground + _REAR[0] / 2), _REAR, _YELLOW)
-            for side, y in _sides(TABLE_5_1.w_r)
+            for side, y in _sides(machine.tyres.rear, TABLE_5_1.w_r)
         ),
         *(
             _wheel(f"tractor_front_{side}", "wheel", (0.0, 0.0, 0.0), _FRONT, _YELLOW)
-            for side, _ in _sides(TABLE_5_1.w_f)
+            for side, _ in _sides(machine.tyres.front, TABLE_5_1.w_f)
         ),
     ]
 
@@ -108,7 +109,7 @@ def _implement(machine: Machine) -> list[Solid]:
         _box("implement", "box", (-e - front, front), (ground + 0.9, ground + 2.7), 2.4, _VIOLET),
         *(
             _wheel("implement", side, (-e, y, ground + _CART[0] / 2), _CART, _BLACK)
-            for side, y in _sides(TABLE_5_1.w_i)
+            for side, y in _sides(machine.tyres.implement, TABLE_5_1.w_i)
         ),
     ]
 

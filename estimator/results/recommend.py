@@ -45,7 +45,7 @@ right side down; the recommended estimate has them whichever method it is of."""
 
 
 def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = False) -> Estimate:
-    """The best estimate with numbers; while methods disagree, the one with the largest variance.
+    """The best estimate with numbers, also while methods disagree: then the others are named with it.
 
     estimates: method -> latest. disagree: whether `disagreement` found one. `rule` of the result says why it
     was chosen. Values with status INVALID are removed.
@@ -59,10 +59,8 @@ def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = Fal
         return _copy_as_recommended(first, estimates, t_ns, Reason(Code.NO_METHOD))
     best, rule = usable[0]
     if disagree:
-        candidates = {e.method: e for e, _ in usable if _usable_parameters(e)}
-        best = max(candidates.values(), key=lambda e: _variance(e, candidates))
-        others = (method for method in candidates if method != best.method)
-        rule = Reason(Code.CLAIMS_LESS, (best.method, *others))
+        others = dict.fromkeys(e.method for e, _ in usable if e.method != best.method)
+        rule = Reason(Code.KNOWS_MORE, (best.method, *others))
     return _copy_as_recommended(best, estimates, t_ns, rule)
 
 
@@ -146,14 +144,6 @@ def _is_finite(estimate: Estimate) -> bool:
 def _age(estimate: Estimate) -> float:
     """Greatest age of its usable parameters, s; infinite without one."""
     return max((estimate.parameters[k].age_s or 0.0 for k in _usable_parameters(estimate)), default=math.inf)
-
-
-def _variance(estimate: Estimate, candidates: Mapping[str, Estimate]) -> float:
-    """Mean variance over the parameters that all candidates have, or, if there is none, over its own."""
-    shared = set.intersection(*(_usable_parameters(e) for e in candidates.values())) or _usable_parameters(
-        estimate
-    )
-    return sum(estimate.log_covariance[k * 7] for k in sorted(shared)) / len(shared)
 
 
 def _distance(one: Estimate, other: Estimate) -> tuple[float, int]:

@@ -79,18 +79,25 @@ SENTENCES: Final[Mapping[Code, str]] = {
     ),
     Code.NOT_CONFIRMED: (
         "driving has not shown yet that the machine file is right{keys}: steer to and fro at working speed"
+        "{seconds}"
     ),
     Code.NOT_DRIVEN: "nothing has been driven yet",
     Code.DOUBTED: (
-        "driving does not agree well with the machine file ({of[0]}?): drive on, steer to and fro at working "
-        "speed"
+        "driving does not agree well with the machine file ({of[0]}?): check it, or drive on and steer to "
+        "and fro at working speed"
     ),
+    Code.NOT_EXCLUDED: (
+        "driving has not excluded an error of {of[0]} in the machine file, which leaves {n[0]:share}: steer "
+        "to and fro by 3° or more at working speed, for {n[1]:.0f} s"
+    ),
+    Code.WIDENED: "{n[0]:share} of that for an error of {of[0]} in the machine file",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window of pem",
     Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
+    Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
     Code.NO_METHOD: "no method gives an estimate",
     Code.DISAGREE: (
         "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} over {n[1]:.0f} parameters, of which "
@@ -123,6 +130,7 @@ def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
         of=of,
         n=[_Number(number) for number in reason.numbers],
         keys=f" ({', '.join(of)})" if of else "",
+        seconds=f" for {reason.numbers[0]:.0f} s" if reason.numbers else "",
         others=", ".join(of[1:]),
         others_and=" and ".join(of[1:]) or "any other",
     )

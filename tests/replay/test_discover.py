@@ -150,6 +150,13 @@ def test_nothing_is_filled_in_for_the_person(found: Findings) -> None:
     assert keys >= {"scale", "interface", "channel"}
 
 
+def test_what_a_draft_has_as_comments_are_keys(found: Findings) -> None:
+    text = re.sub(r"^# (size|pressure) =", r"#  \1 =", _filled(draft(found, [])), flags=re.MULTILINE)
+    machine = parse_machine(re.sub(r"^# ([a-z_]+ = )", r"\1", text, flags=re.MULTILINE))
+    assert machine.tyres.rear.deflection is not None and machine.tyres.rear.dual_track is not None
+    assert machine.tractor.hitch_height is not None and machine.tractor.suspended_front_axle
+
+
 @pytest.mark.parametrize(
     "scenario",
     [

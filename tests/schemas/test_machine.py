@@ -44,6 +44,17 @@ WRONG = [
     ("scale = 0.01", "lookup = [[5.0, 5.0], [0.0, 0.0]]", ["wheel_angle", "ascending"]),
     ('bus = "can0"\nid', 'bus = "can7"\nid', ["wheel_angle", "can7", "can0"]),
     ('prefix = "tilth"', 'prefix = "a b"', ["zenoh.prefix", "a b"]),
+    ("= 220e3", '= 220e3\nsize = "420/85R30"', ["tyres.front", "size and pressure go together"]),
+    ("= 220e3", "= 220e3\npressure = 1.2", ["tyres.front", "size and pressure go together"]),
+    ("= 220e3", '= 220e3\nsize = "big"\npressure = 1.2', ["tyres.front", '"big"', "520/85R42"]),
+    (
+        "= 220e3",
+        '= 220e3\nsize = "420/85R30"\npressure = 1.2\ndeflection = 0.06',
+        ["tyres.front", "deflection, or size and pressure"],
+    ),
+    ("= 486e3", "= 486e3\ndual_track = 3.1", ["tyres.rear", "needs track, of the inner ones"]),
+    ("= 486e3", "= 486e3\ntrack = 3.1\ndual_track = 1.9", ["tyres.rear", "below it"]),
+    ("c = 2.1", "c = 2.1\nhitch = 0.5", ["tractor.hitch", "did you mean", "hitch_height"]),
     ("[machine]", "[machine", ["not a TOML file"]),
 ]
 

@@ -44,6 +44,10 @@ def whole() -> dict[str, Any]:
     for body in ("tractor", "implement"):
         raw[body] |= {"cg_sd": 0.02, "pair_yaw_sd": 0.2}
     raw["tractor"] |= {"kingpin_distance": 1.7, "wheel_speed_factor": {"value": 1.02, "sd": 0.005}}
+    raw["tractor"] |= {"hitch_height": {"value": 0.5, "sd": 0.03}, "pivot_height": {"value": 0.7, "sd": 0.03}}
+    for k, tyre in enumerate(raw["tyres"].values()):
+        tyre |= {"track": {"value": 1.93, "sd": 0.02}, "dual_track": {"value": 3.2, "sd": 0.02}}
+        tyre |= {"deflection": {"value": 0.06, "sd": 0.01}} if k else {"size": "420/85R30", "pressure": 1.2}
     raw["wheel_angle"] |= copy.deepcopy(WHEEL)
     return raw
 
@@ -163,6 +167,10 @@ SAID = [
     ("scale = 0.01", "lookup = [[50000.0, -40.0], [90000.0, 40.0]]", "none of which is in the lookup"),
     (ZERO, "zero = { value = 0.0, sd = 28.6 }", "wheel_angle.zero.sd = 28.6 deg"),
     (ZERO, "zero = 400.0", "wheel_angle.zero = 400 deg"),
+    ("= 220e3", "= 220e3\ntrack = 1930", "track = 1930 m: must be from 0.8 to 4; did you mean 1.93"),
+    ("= 220e3", "= 220e3\ndeflection = 60", "must be from 0.003 to 0.3; did you mean 0.06 (60 mm)"),
+    ("= 220e3", '= 220e3\nsize = "420/85R30"\npressure = 120', "from 0.2 to 10; did you mean 1.2 (120 kPa)"),
+    ("c = 2.1", "c = 2.1\nhitch_height = 50", "tractor.hitch_height = 50 m: must be from 0.1 to 1.5"),
 ]  # fmt: skip
 
 
@@ -183,6 +191,8 @@ RARE = [
     ("scale = 0.01", "scale = 0.0005", "tell -16.38 to 16.38 deg, rarely enough for a wheel"),
     ("e = 0.1", "e = -0.1", "implement.e = -0.1 m: rare"),
     (FRONT, "position = [-1.20, 0.9, 2.9]", "stands behind tractor_rear"),
+    ("= 486e3", "= 486e3\ntrack = 2.8", "tyres.rear.track = 2.8 m: rare, 1 to 2.6 is usual"),
+    ("= 486e3", '= 486e3\nsize = "5.00-12"\npressure = 1.0', "presses the tyres in by 160 mm, 15 to 130 is"),
 ]
 
 

@@ -37,7 +37,14 @@ def test_no_two_codes_say_the_same() -> None:
 @pytest.mark.parametrize("code", SENTENCES)
 def test_a_sentence_wants_nothing_that_a_reason_has_not(code: Code) -> None:
     fields = {name for _, name, _, _ in string.Formatter().parse(SENTENCES[code]) if name}
-    assert {name.partition("[")[0] for name in fields} <= {"of", "n", "keys", "others", "others_and"}
+    assert {name.partition("[")[0] for name in fields} <= {
+        "of",
+        "n",
+        "keys",
+        "seconds",
+        "others",
+        "others_and",
+    }
 
 
 def test_why_nothing_is_learned_now_and_what_contradicts() -> None:

@@ -136,13 +136,18 @@ def test_a_disagreement_begins_late_and_ends_later() -> None:
         assert not found or ("pem and steady_state" in text and "over 3 parameters" in text)
 
 
-def test_where_methods_disagree_the_one_that_claims_less_is_recommended() -> None:
-    pem, steady = estimate("pem"), estimate("steady_state", THREE, sd=0.2, off=2.0)
-    assert disagreement(by_method(pem, steady), False)
-    best = recommend(by_method(pem, steady), 7, disagree=True)
-    assert sentence(best.rule).startswith("steady_state: the methods disagree")
-    wide = recommend(by_method(replace(pem, log_covariance=(0.5,) * 36), steady), 7, disagree=True)
-    assert sentence(wide.rule).startswith("pem: the methods disagree")
+@pytest.mark.parametrize("sd", [0.02, 0.2, 0.3])
+@pytest.mark.parametrize("knows_more", ["pem", "tracker"])
+def test_where_methods_disagree_the_one_that_uses_more_of_the_drive_is_recommended(
+    sd: float, knows_more: str
+) -> None:
+    """However much the other one claims: steady_state never stands against a method with numbers."""
+    more, steady = estimate(knows_more), estimate("steady_state", THREE, sd=sd, off=2.0)
+    assert disagreement(by_method(more, steady), False)
+    best = recommend(by_method(more, steady), 7, disagree=True)
+    assert best.parameters == more.parameters and best.rule is not None
+    assert best.rule == Reason(Code.KNOWS_MORE, (knows_more, "steady_state"))
+    assert sentence(best.rule).startswith(f"{knows_more}: it uses more of the drive than steady_state")
 
 
 def test_only_what_is_estimated_now_can_disagree() -> None:
