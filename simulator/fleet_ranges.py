@@ -14,7 +14,7 @@ IMPLEMENTS: Final = ("grain_cart", "slurry_tanker", "sprayer", "trailer")
 ANY: Final = "any"
 
 
-class Range(NamedTuple):
+class DrawnRange(NamedTuple):
     """Drawn uniformly from low to high; a share where both are the chance of something."""
 
     of: str  # a kind of tractor or implement, or ANY
@@ -110,20 +110,20 @@ _OTHERS: Final[tuple[tuple[str, float, float, str, str], ...]] = (
     ("mast", 0.9, 1.8, "m", "the same of an implement"),
 )  # fmt: skip
 CHANCES: Final = (
-    Range(ANY, "ballasted", 0.5, 0.5, "chance", "front weights are put on for heavy implements"),
-    Range(ANY, "driven_in_front", 0.5, 0.5, "chance", "assist engaged"),
-    Range(
+    DrawnRange(ANY, "ballasted", 0.5, 0.5, "chance", "front weights are put on for heavy implements"),
+    DrawnRange(ANY, "driven_in_front", 0.5, 0.5, "chance", "assist engaged"),
+    DrawnRange(
         ANY, "roll_corrected", 0.3, 0.3, "chance", "the tractor's receivers report the point on the ground"
     ),
-    Range("utility", "suspended", 0.2, 0.2, "chance", "an option"),
-    Range("row_crop", "suspended", 0.5, 0.5, "chance", "usual in Europe"),
-    Range("heavy", "suspended", 0.7, 0.7, "chance", "nearly standard"),
-    Range("row_crop", "duals", 0.15, 0.15, "chance", "for spring work"),
-    Range("heavy", "duals", 0.4, 0.4, "chance", "usual in North America"),
+    DrawnRange("utility", "suspended", 0.2, 0.2, "chance", "an option"),
+    DrawnRange("row_crop", "suspended", 0.5, 0.5, "chance", "usual in Europe"),
+    DrawnRange("heavy", "suspended", 0.7, 0.7, "chance", "nearly standard"),
+    DrawnRange("row_crop", "duals", 0.15, 0.15, "chance", "for spring work"),
+    DrawnRange("heavy", "duals", 0.4, 0.4, "chance", "usual in North America"),
 )
 RANGES: Final = (
     *(
-        Range(kind, name, *ends, unit, source)
+        DrawnRange(kind, name, *ends, unit, source)
         for kinds, names, units, sources in (
             (_TRACTORS, _SIZES, _SIZE_UNITS, _SIZE_SOURCES),
             (_IMPLEMENTS, _CARRIED, _CARRIED_UNITS, _CARRIED_SOURCES),
@@ -131,5 +131,5 @@ RANGES: Final = (
         for kind, row in kinds.items()
         for name, ends, unit, source in zip(names, row, units, sources, strict=True)
     ),
-    *(Range(ANY, *row) for row in _OTHERS),
+    *(DrawnRange(ANY, *row) for row in _OTHERS),
 )

@@ -101,7 +101,7 @@ def front_axle(machine: Machine) -> Prior:
     return 0.0, upright.front_log_sd(machine, upright_axles(machine)[0])
 
 
-def pin(machine: Machine) -> Prior:
+def front_pivot(machine: Machine) -> Prior:
     """What the front axle's pin is higher than nominal, m."""
     return 0.0, upright.pivot_height(machine).sd
 

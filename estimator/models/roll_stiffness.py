@@ -40,15 +40,15 @@ def nominal_roll(machine: Machine) -> RollModes:
     """What masses, CGs, tracks and tyres let expect."""
     rig = rig_of(machine)
     front, rear, implement = upright_axles(machine)
-    pin = upright.pivot_height(machine).value
-    on_pin = static_loads(rig)[0] * pin  # it tips the front axle, and rights the body that hangs on the pin
-    k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - on_pin)
+    pivot = upright.pivot_height(machine).value
+    on_pivot = static_loads(rig)[0] * pivot  # tips the front axle, and rights the body that hangs on the pin
+    k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - on_pivot)
     k_i = _left(implement.roll_stiffness, rig.g * rig.m_i * rig.h_i)
     j_t = rig.m_t * (ROLL.gyration * math.cbrt(rig.m_t)) ** 2
     j_i = rig.m_i * (ROLL.cart_gyration * rig.w_i) ** 2
     d_t = 2 * ROLL.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * ROLL.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))
-    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, pin, _left(front.roll_stiffness, on_pin))
+    return RollModes(k_t, k_i, d_t, d_i, j_t, j_i, pivot, _left(front.roll_stiffness, on_pivot))
 
 
 def _left(stiffness: float, gravity: float) -> float:
