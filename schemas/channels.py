@@ -118,16 +118,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         message.combinations.add(exponents=one.exponents, log_sd=one.log_sd)
     if estimate.advice is not None:
         message.advised.CopyFrom(pb.Advice(**asdict(estimate.advice)))
-    _set_present(message, estimate, ("condition",))
-    _add_parameters(message, estimate)
-    for name, (value, sd) in estimate.nuisances.items():
-        message.nuisances.add(name=name, value=value, sd=sd)
-    for name, amount in estimate.excitation.items():
-        message.excitation.add(name=name, value=amount)
-    return message.SerializeToString()
-
-
-def _add_parameters(message: pb.SoilTireEstimate, estimate: flow.Estimate) -> None:
+    if estimate.condition is not None:
+        message.condition = estimate.condition
     per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
     for name, parameter, ratio in zip(flow.PARAMETERS, estimate.parameters, per_mass, strict=True):
         row = message.parameters.add(
@@ -138,6 +130,11 @@ def _add_parameters(message: pb.SoilTireEstimate, estimate: flow.Estimate) -> No
         _set_present(row, parameter, ("value", "sd", "age_s"))
         if ratio is not None:
             row.per_mass = ratio
+    for name, (value, sd) in estimate.nuisances.items():
+        message.nuisances.add(name=name, value=value, sd=sd)
+    for name, amount in estimate.excitation.items():
+        message.excitation.add(name=name, value=amount)
+    return message.SerializeToString()
 
 
 def notice_message(notice: Notice) -> pb.Notice:

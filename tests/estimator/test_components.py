@@ -23,8 +23,8 @@ COUNTED = {
     "swings", "ticks", "tries",
 }  # fmt: skip
 UNITS = COUNTED | {
-    "°", "1", "1/rad", "1/s", "by unknown", "chi^2", "m", "m/kg^(1/3)", "m/s", "m/s^0.5", "m/s^2", "nat", "ns",
-    "rad", "rad/s", "rad/s^0.5", "rad/s^2", "rad s^2/m", "s", "s/s", "s/s^0.5", "sd",
+    "°", "1", "1/rad", "1/s", "by unknown", "chi^2", "m", "m/s", "m/s^0.5", "m/s^2", "nat", "ns",
+    "m/kg^(1/3)", "rad", "rad/s", "rad/s^0.5", "rad/s^2", "rad s^2/m", "s", "s/s", "s/s^0.5", "sd",
 }  # fmt: skip
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
     # layouts of arrays, and codes; no limit
