@@ -8,8 +8,9 @@ pursuit  a receiver and a gyro of its own; pure pursuit of a recorded line at 20
 manual   a person who looks at a point ahead, and corrects from time to time
 
 Each believes the wheelbase of the machine file, has a wheel-angle sensor of its own without error, and
-corrects position and course for roll and slip, so that its integral alone finds a side slope's crab angle. `own` of the scenario is a factor on all that does not answer the ground: errors
-of own sensors, dead bands, hysteresis, steps of the line. All is drawn from the run's seed.
+corrects position and course for roll and slip, so that its integral alone finds a side slope's crab angle.
+`own` of the scenario is a factor on all that does not answer the ground: errors of own sensors, dead bands,
+hysteresis, steps of the line. All is drawn from the run's seed.
 """
 
 import math

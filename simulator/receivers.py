@@ -120,7 +120,7 @@ class Receiving:
         at = _at(self._machine, truth, self.receiver, self.epochs[which], self._moved_m[which])
         noise, dx, dy = self._noise[:, which], self._off[0][which], self._off[1][which]
         north, east = at.forward_velocity + VELOCITY * noise[0], at.lateral_velocity + VELOCITY * noise[1]
-        longitude, latitude = _plane().transform(at.y + dy, at.x + dx, direction="INVERSE")
+        longitude, latitude = plane().transform(at.y + dy, at.x + dx, direction="INVERSE")
         columns = (
             self.epochs[which],
             self._sent[which],
@@ -216,7 +216,8 @@ def _with_play(angle: Array, play: float, value: float) -> Array:
 
 
 @cache
-def _plane() -> Transformer:
+def plane() -> Transformer:
+    """From longitude and latitude, degrees, to metres east and north of ORIGIN_DEG."""
     plane = f"+proj=tmerc +lat_0={ORIGIN_DEG[0]} +lon_0={ORIGIN_DEG[1]} +k=1 +ellps=WGS84 +units=m"
     return Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 
