@@ -34,6 +34,7 @@ YAW_RATE = np.radians(0.18)
 HEADING = np.radians(0.3)
 PITCH = np.radians(0.2)
 WHEEL = np.radians(0.07)
+BENT = np.radians(30.0)  # wheel angle that Wheel.bend is told of
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +179,7 @@ class WheelSensor:
         noise = self._noise[first : first + len(angle)]
         drifted = self._drift * STEP_S * np.arange(first, first + len(angle))
         shown = _by_the_linkage(_of_the_kingpin(moved, self._wheel, self._base), self._wheel.curve)
+        shown = shown * (1.0 + self._wheel.bend * np.abs(shown) / BENT)
         return np.asarray(self._told["wheel_gain"] * shown + self._told["wheel_zero"] + drifted + noise)
 
 

@@ -39,9 +39,12 @@ Speed = Annotated[float, Field(ge=-4, le=15)]
 Stiffness = Annotated[float, Field(ge=20e3, le=20e6)]
 Track = Annotated[float, Field(ge=0.8, le=6)]
 Gyration = Annotated[float, Field(ge=0.2, le=3)]
+Radius = Annotated[float, Field(ge=0.2, le=1.5)]
 Wave = Annotated[float, Field(ge=0.3, le=1000)]
 Instant = Annotated[int, Field(ge=946_684_800_000_000_000, le=4_102_444_800_000_000_000)]  # ns; 2000 to 2100
 ClockOffset = Annotated[float, Field(ge=-1e8, le=1e8)]  # s; three years
+TyreCurve = Literal["exponential", "tanh", "brush", "magic"]
+Lag = Literal["first_order", "string"]
 Parameter = Literal["C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i"]
 FaultKind = Literal["silent", "not_available", "repeat", "late", "moved", "rtk_float", "dgnss", "gnss"]
 
@@ -237,7 +240,10 @@ class Soil:
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
 
 
-# The spatial plant.
+# What a machine file does not say of the rig, for either plant.
+
+PlanarKey = Literal["w_f", "w_r", "w_i", "h_h", "roll_share_f", "load_exponent", "front_drive"]
+"""Of estimator.models.parameters.RIG_PARAMETERS."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -249,11 +255,14 @@ class Spatial:
     vertical_stiffness: tuple[Stiffness, Stiffness, Stiffness] | None = None  # N/m of each tyre; front,
     vertical_damping: tuple[NotNegative, NotNegative, NotNegative] | None = None  # rear, implement; N s/m
     track: tuple[Track, Track, Track] | None = None  # m
+    radius: tuple[Radius, Radius, Radius] | None = None  # m, of the loaded tyres
+    axle_mass: Positive | None = None  # kg, of the front axle with its wheels
+    suspension: tuple[Stiffness, NotNegative] | None = None  # N/m and N s/m of the front axle; None: rigid
     pin_height: Annotated[float, Field(ge=0, le=1.5)] | None = None  # m, of the front axle's pin
     hitch_height: Annotated[float, Field(ge=0.1, le=1.5)] | None = None  # m
     roll_gyration: tuple[Gyration, Gyration] | None = None  # m, radius of tractor and implement
-    tyre: Literal["exponential", "tanh", "brush", "magic"] | None = None
-    relaxation: Literal["first_order", "string"] | None = None
+    tyre: TyreCurve | None = None
+    relaxation: Lag | None = None
     load_exponent: Share | None = None  # of the stiffness
     camber_thrust: Share | None = None  # side force over load, for each rad that a tyre leans
     grip: Annotated[float, Field(ge=0.2, le=1000)] | None = None  # None: that of the soil, or drawn
@@ -288,6 +297,7 @@ class Wheel:
     kingpin: Literal["mean", "left", "right"] = "mean"  # wheel that carries it, where the file says mean
     kingpin_distance: Track = 1.7  # m
     curve: Annotated[float, Field(ge=-0.3, le=0.3)] = 0.0  # 1/rad: wheel angle = reading + curve reading^2
+    bend: Annotated[float, Field(ge=-0.2, le=0.2)] = 0.0  # of the gain at 30 degrees to either side, less 1
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -368,6 +378,7 @@ class Scenario:
     ground: Ground = Ground()
     soil: Soil = Soil()
     spatial: Spatial = Spatial()
+    planar: Mapping[PlanarKey, NotNegative] | None = None  # of the rig, instead of what is usual
     survey: SurveyErrors = SurveyErrors()
     wheel: Wheel = Wheel()
     wheel_speed: WheelBasedSpeed = WheelBasedSpeed()
@@ -402,6 +413,8 @@ class Scenario:
         else:
             given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
             say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
+            if self.planar:
+                raise ValueError("planar is of the planar plant; give spatial")
         if given:
             raise ValueError(f"{given[0]} {say}")
 

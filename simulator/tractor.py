@@ -162,6 +162,7 @@ def _rig(
             h_i=rig.h_i + nuisances["cg_up_implement"],
             **dict.fromkeys(("grip_f", "grip_r", "grip_i"), scenario.soil.grip),
             **dict.fromkeys(("roll_f", "roll_r", "roll_i"), scenario.soil.rolling),
+            **{str(name): value for name, value in (scenario.planar or {}).items()},
         )
     )
 
