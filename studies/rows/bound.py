@@ -35,7 +35,8 @@ Array = NDArray[np.float64]
 DT: Final = 0.02  # s, of the model
 EPOCH_S: Final = 0.2
 TICKS: Final = round(EPOCH_S / DT)
-ORDER: Final = 15  # epochs of the past, as in row_fit.py
+PAST: Final = 1.2  # reach of the past, over the way from the front to the last axle
+ORDERS: Final = (10, 25)  # epochs of the past, least and most
 SETTLING_S: Final = 10.0  # in which the filter only finds its state
 Y: Final = len(STATES)  # place of the CG's way across the row, after the model's states
 N_MOTION: Final = Y + 1
@@ -307,8 +308,11 @@ def measured(machine: Machine, truth: Truth, seconds: tuple[float, float]) -> tu
     return np.column_stack([*by_receiver[:, :, 0], *pairs[:, :, 1], *pairs[:, :, 2]]), samples
 
 
-def bound_of(machine: Machine, truth: Truth, seconds: tuple[float, float]) -> Bound:
-    """Of a stretch (from, to, s) of a row. Raises ValueError where an epoch is missing."""
+def bound_of(
+    machine: Machine, truth: Truth, seconds: tuple[float, float], file: Machine | None = None
+) -> Bound:
+    """Of a stretch (from, to, s) of a row. machine: what was driven; file: whose sds are what is known
+    before, the same if None. Raises ValueError where an epoch is missing."""
     y, samples = measured(machine, truth, seconds)
     stride = round(DT / STEP_S)
     first = samples[0] - round(1.0 / STEP_S)
@@ -317,7 +321,7 @@ def bound_of(machine: Machine, truth: Truth, seconds: tuple[float, float]) -> Bo
     epochs = (samples - first) // stride
     u = float(np.mean(truth.tractor.forward_velocity[samples]))
     point = true_point(machine, truth)
-    _, sd = unknowns.prior(machine)
+    _, sd = unknowns.prior(file or machine)
     points, steps = [point], []
     for unknown, known in zip(UNKNOWNS, sd.tolist(), strict=True):
         ahead, behind = (moved(point, unknown, by) for by in (STEP * known, -STEP * known))
@@ -328,8 +332,11 @@ def bound_of(machine: Machine, truth: Truth, seconds: tuple[float, float]) -> Bo
     found = response(points, u, wheel_angle, epochs)
     slopes = (found[:, :, 1::2] - found[:, :, 2::2]) / (2 * STEP * known_before)
     left = (y - found[:, :, 0])[:, :, None]
-    made = whitened(point, u, np.concatenate([left, slopes], axis=2))[round(SETTLING_S / EPOCH_S) - ORDER :]
-    noise = regress([made[:, :, 0]], ORDER)
+    rig = truth.rig
+    way = rig.a + rig.c + rig.d + rig.e
+    order = int(np.clip(np.ceil(PAST * way / u / EPOCH_S), *ORDERS))
+    made = whitened(point, u, np.concatenate([left, slopes], axis=2))[round(SETTLING_S / EPOCH_S) - order :]
+    noise = regress([made[:, :, 0]], order)
     gradient, told = gradient_and_information(noise, slopes_left(noise, [-made[:, :, 1:]]))
     covariance = np.linalg.inv(told + np.diag(known_before**-2))
     wheel = truth.wheel_angle[samples[round(SETTLING_S / EPOCH_S) :]]

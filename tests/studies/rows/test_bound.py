@@ -18,20 +18,17 @@ from tilth.simulator.tractor import setting_of
 Array = NDArray[np.float64]
 
 MACHINE: Final = demo_machine()
+PID: Final = Autosteer("pid")
 UNEVEN: Final = {"planar": Ground(force_sd=0.005, rut=True), "spatial": Ground(rms=0.01)}
 
 
-def scenario(
-    plant: str = "planar", steer: Autosteer = Autosteer("pid"), ground: Ground | None = None
-) -> Scenario:  # noqa: B008
+def scenario(plant: str = "planar", steer: Autosteer = PID, ground: Ground | None = None) -> Scenario:
     row = RowSteering(position_sd=0.008, autosteer=steer)
     return Scenario(plant=plant, speed=3.5, steering=row, ground=ground or UNEVEN[plant])  # type: ignore[arg-type]
 
 
 @cache
-def bound(
-    seed: int = 3, seconds: float = 70.0, steer: Autosteer = Autosteer("pid"), rough: float = 1.0
-) -> Bound:  # noqa: B008
+def bound(seed: int = 3, seconds: float = 70.0, steer: Autosteer = PID, rough: float = 1.0) -> Bound:
     ground = Ground(force_sd=0.005 * rough, rut=True)
     truth = drive(MACHINE, seed, seconds, scenario(steer=steer, ground=ground))
     return bound_of(MACHINE, truth, (5.0, seconds))
