@@ -38,8 +38,8 @@ class Own(NamedTuple):
 def quiet(setting: Setting) -> Setting:
     """The same drive on even ground, with receivers that make no error."""
     scenario = setting.scenario
-    of_plant = {"rms": 0.0} if scenario.plant == "spatial" else {}
-    ground = replace(scenario.ground, roll_sd_deg=0.0, force_sd=0.0, bumps=(), **of_plant)
+    rms = 0.0 if scenario.plant == "spatial" else None
+    ground = replace(scenario.ground, roll_sd_deg=0.0, force_sd=0.0, bumps=(), rms=rms)
     land = terrain(ground, scenario.roll_deg, setting.rig, generator(setting.seed, noise.GROUND))
     return replace(setting, scenario=replace(scenario, ground=ground, noise=0.0), land=land)
 

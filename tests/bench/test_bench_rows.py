@@ -37,7 +37,8 @@ def _made(z: float, over: float, count: int = 200) -> list[dict[str, Any]]:
     for k in range(count):
         cell, sd = rows.cell_of(k), 0.1 * over
         made.append({
-            "row": "rows usual", "seed": k, "first": 0, "scale": 2.0, "rig": k, "speed": 4.0, **cell._asdict(),
+            "row": "rows usual", "seed": k, "first": 0, "scale": 2.0, "rig": k, "speed": 4.0,
+            **cell._asdict(),
             "error": (z * sd * rng.standard_normal(6)).tolist(), "sd": [sd] * 6, "bound": [0.1] * 6,
             "step": (0.1 * rng.standard_normal(6)).tolist(), "said_share": 0.9, "settled": True,
             "unexplained": 0.9, "wheel_deg": 0.5, "own_deg": 0.45, "share": 0.81,
@@ -53,7 +54,7 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, over: float, he
     lines = {line.figure: line for line in rows.lines_of(_made(z, over))}
     assert lines["C_ar"].held is held
     assert lines["all: 95 % intervals that hold"].held is (z == 1.0)
-    assert "0.45°" in lines["7 valve, planar, 1 cm, 4.0 m/s"].reached
+    assert "0.45°" in lines["1 valve, planar, 1 cm, 4.0 m/s"].reached
 
 
 def test_a_drive_that_could_not_be_driven_is_named() -> None:
@@ -63,12 +64,12 @@ def test_a_drive_that_could_not_be_driven_is_named() -> None:
 
 
 def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(runs=1, scale=0.5, kept=tmp_path / "kept.jsonl")
+    bench = Bench(runs=1, scale=0.3, kept=tmp_path / "kept.jsonl")
     said = rows.Fit(np.zeros(6), np.ones(6), 0.5, True)
     monkeypatch.setattr(rows, "fit", lambda machine, record: said)  # a fit is minutes of this test's time
     lines = rows.row("usual", 0, bench)
     made = json.loads((tmp_path / "kept.jsonl").read_text())
-    assert 0.0 < min(made["bound"]) and max(made["bound"]) < 0.75
-    assert 0.2 < made["own_deg"] < 1.2 and made["seconds"] == pytest.approx(30.0, abs=1.0)
-    monkeypatch.setattr(rows, "follow", None)
+    assert min(made["bound"]) > 0.0 and max(made["bound"]) < 0.75
+    assert 0.2 < made["own_deg"] < 1.2 and made["seconds"] == pytest.approx(18.0, abs=1.0)
+    monkeypatch.setattr(rows, "drive", None)  # not driven again
     assert [line.reached for line in rows.row("usual", 0, bench)] == [line.reached for line in lines]
