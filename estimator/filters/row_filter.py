@@ -49,7 +49,7 @@ class Whitened(NamedTuple):
 
 @inner_kernel
 def mix(table: Array, low: int, share: float, out: Array) -> None:
-    """Fill out with what a table has at a speed, `share` of the way from one that is tabulated to the next."""
+    """Fill out with what a table has at a speed, `share` of the way from one tabulated to the next."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = (1.0 - share) * table[low, i, j] + share * table[low + 1, i, j]

@@ -48,6 +48,7 @@ OUTPUTS: Final = (  # kind, places
 )  # fmt: skip
 """In the row's frame, where north is along it: each antenna's position across, each body's velocities and
 yaw rates."""
+OF_BODIES: Final = ((0, 1, 4, 6), (2, 3, 5, 7))  # of OUTPUTS
 ZERO: Final = AT["wheel_zero"]
 
 
@@ -78,7 +79,6 @@ class RowPosterior(NamedTuple):
 
     mean: Array  # (n,), of unknowns.NAMES
     covariance: Array  # (n, n)
-    information: Array  # (6, 6), of the rows alone, on the six, all else unknown as the prior has it
     steps: int
     converged: bool
     seconds: float  # of driving, settled
@@ -210,6 +210,11 @@ class RowFit:
         self.prior_information[len(active) :, len(active) :] = np.eye(len(self.rows)) / ROW_FIT.zero_sd**2
 
     @property
+    def measured(self) -> bool:
+        """Whether something of each body is."""
+        return all(np.isin(self.outputs, of_body).any() for of_body in OF_BODIES)
+
+    @property
     def skip(self) -> int:
         """Epochs at the start of a row that are not used but as the past of others."""
         return round(ROW_FIT.settling_s / ROW_FIT.epoch_s) - self.order
@@ -267,9 +272,7 @@ class RowFit:
         _, told = gradient_and_information(start.noise, start.slopes)
         prior = np.diag(self.prior_covariance)[self.active]
         telling = np.diag(told)[: len(self.active)] * prior > ROW_FIT.least_telling
-        start.slopes = [
-            S[:, :, np.append(telling, np.ones(len(self.rows), np.bool_))] for S in start.slopes
-        ]
+        start.slopes = [S[:, :, np.append(telling, np.ones(len(self.rows), np.bool_))] for S in start.slopes]
         self._choose(self.active[telling])
         return self._posterior(*self._search(start))
 
@@ -315,14 +318,13 @@ class RowFit:
         follows = np.linalg.solve(within, prior[active]).T  # (n, a)
         covariance = prior + follows @ (found - within) @ follows.T
         mean = self.mean + follows @ (at.unknowns - self.mean)[active]
-        told = likelihood.inverse(covariance[:6, :6]) - likelihood.inverse(prior[:6, :6])
-        wheel = np.concatenate([row.wheel_angle[self.skip + self.order :] for row in self.rows])
-        each = np.concatenate([
-            np.full(len(row.wheel_angle) - self.skip - self.order, row.wheel_angle.mean()) for row in self.rows
-        ])  # fmt: skip
+        settled = self.skip + self.order
+        wheel = np.concatenate(
+            [row.wheel_angle[settled:] - row.wheel_angle[settled:].mean() for row in self.rows]
+        )
         return RowPosterior(
-            mean, (covariance + covariance.T) / 2.0, told, steps, converged, len(wheel) * ROW_FIT.epoch_s,
-            float(np.sqrt(np.mean((wheel - each) ** 2))), at.noise.share_of_own(wheel - each),
+            mean, (covariance + covariance.T) / 2.0, steps, converged, len(wheel) * ROW_FIT.epoch_s,
+            float(np.sqrt(np.mean(wheel**2))), at.noise.share_of_own(wheel),
             at.cost / len(wheel),
         )  # fmt: skip
 

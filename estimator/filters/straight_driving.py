@@ -127,7 +127,7 @@ def straight_rates(u: float, unknowns: Array, setup: RigSetup, places: Places) -
                     A_unknowns[j, k, i] = step.rates_unknowns[k, j] / SMALL
     for code in range(N_SENSORS):
         kind, place = code // PLACES, code % PLACES
-        if (kind == YAW_RATE or kind == HEADING) and place > 1:  # of bodies
+        if kind in (YAW_RATE, HEADING) and place > 1:  # of bodies
             continue
         obs = Observation(kind, place, 0.0, u, 0.0, 0.0)
         rest[code] = predict_measurement(none, obs, unknowns, setup, slopes)
