@@ -17,7 +17,7 @@ from tilth.estimator.diagnosis.information import InformationForm
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import resume, save_learned
-from tilth.estimator.methods import pem, steady_state, tracker
+from tilth.estimator.methods import pem, rows, steady_state, tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import WHEEL
@@ -48,7 +48,7 @@ VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-warm"
 def teach(state: fold.State, informed_ns: int) -> None:
     """As if all methods had learned something by then."""
     rng = np.random.default_rng(2)
-    for method in (pem.METHOD, tracker.METHOD, steady_state.METHOD):
+    for method in (pem.METHOD, rows.METHOD, tracker.METHOD, steady_state.METHOD):
         ours, memory = state.estimators[method], ROW[method].memory
         assert memory is not None
         known = memory.learned(ours)
