@@ -1,12 +1,13 @@
 """How well `tilth calibrate` does on wrong rigs: numbers within their sds, sds, structural faults, soil.
 
-    python bench/calibration.py [--plant planar spatial] [--logs 7] [--rigs 10] [--faults 10] [--first 0]
-        [--keep DONE.jsonl] [--minutes 600]
+    python bench/calibration.py [--plant planar spatial fleet] [--logs 7] [--rigs 10] [--faults 10]
+        [--first 0] [--keep DONE.jsonl] [--minutes 600]
 
 Logs of examples/scenarios/calibration_drive.toml, of rigs that differ, are made once and kept in
-~/.cache/tilth/calibration. A wrong rig is a wrong machine file: the log is of the right one. Each is
-printed as soon as it is there; the table of the issue comes at the end. What is done is kept in DONE.jsonl,
-a line each, and not done again, with the calibrated machine files for bench/calibrated_soil.py.
+~/.cache/tilth/calibration; those of `fleet` are of rigs of the virtual fleet, in space. A wrong rig is a
+wrong machine file: the log is of the right one. Each is printed as soon as it is there; the table of the issue
+comes at the end. What is done is kept in DONE.jsonl, a line each, and not done again, with the calibrated
+machine files for bench/calibrated_soil.py.
 """
 
 import argparse
@@ -39,11 +40,14 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.fleet import drawn, scenario_of
+from tilth.simulator.fleet_files import owners_text, true_machine
 from tilth.simulator.scenario import Spatial, as_json, from_json, parse_scenario
 from tilth.simulator.simulate import PACKAGED, SimulationInput, simulate_to
 
 Array = NDArray[np.float64]
 
+FLEET: Final = "fleet"
 CACHE: Final = Path.home() / ".cache" / "tilth" / "calibration"
 ROOT: Final = Path(__file__).resolve().parents[1]
 STRUCTURE: Final = (
@@ -64,14 +68,26 @@ def packaged() -> tuple[Machine, str]:
     return parse_machine(text), text
 
 
+def right_file(plant: str, seed: int) -> tuple[Machine, str]:
+    """That of a log: the demo's, or one of the fleet with the true numbers and its owner's sds."""
+    if plant != FLEET:
+        return packaged()
+    text = owners_text(drawn(seed), exact=True)
+    return parse_machine(text), text
+
+
 def log_of(plant: str, seed: int) -> tuple[Path, list[Measurement], dict[str, Any]]:
     """A log, what the right machine file makes of it, and what was true; made unless it is kept."""
-    machine, text = packaged()
+    machine, text = right_file(plant, seed)
     path = CACHE / f"{plant}-{seed}.mcap"
     scenario_text = (ROOT / "examples/scenarios/calibration_drive.toml").read_text(encoding="utf-8")
     scenario = parse_scenario(scenario_text)
     if plant == "spatial":
         scenario = replace(scenario, plant="spatial", spatial=Spatial(draw=True))
+    driven = None
+    if plant == FLEET:
+        rig = drawn(seed)
+        driven, scenario = true_machine(rig), scenario_of(rig, replace(scenario, plant="spatial"))
     scenario = from_json(as_json(scenario))
     if not path.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
@@ -79,7 +95,7 @@ def log_of(plant: str, seed: int) -> tuple[Path, list[Measurement], dict[str, An
         for old in CACHE.glob(f"{part.name}*"):
             old.unlink()
         simulate_to(
-            SimulationInput(machine, text, scenario, scenario_text, seed, scenario.seconds), part,
+            SimulationInput(machine, text, scenario, scenario_text, seed, scenario.seconds, driven), part,
             lambda what, at_s: None,
         )  # fmt: skip
         for made in CACHE.glob(f"{part.name}*"):
@@ -112,7 +128,7 @@ def wrong_rig(rng: np.random.Generator) -> Changes:
     )
 
 
-def structural(kind: str, rng: np.random.Generator) -> Changes:
+def structural(kind: str, machine: Machine, rng: np.random.Generator) -> Changes:
     """A file with one structural fault and small errors."""
     changes = replace(wrong_rig(rng), delay=np.full(4, rng.uniform(-0.05, 0.05)))
     one = int(rng.integers(4))
@@ -125,7 +141,7 @@ def structural(kind: str, rng: np.random.Generator) -> Changes:
         return replace(changes, assignment=[(2, 1, 0, 3), (2, 3, 0, 1), (0, 3, 2, 1), (3, 1, 2, 0)][one])
     if kind == "kingpin":
         place = ("left", "right")[one % 2]
-        return replace(changes, linkage=linkage_of(packaged()[0], place))
+        return replace(changes, linkage=linkage_of(machine, place))
     if kind == "wheel_sign":
         return replace(changes, wheel_sign=-1)
     if kind == "yaw_rate_sign":
@@ -203,7 +219,7 @@ Errors = dict[str, tuple[float, float]]
 
 def one_rig(plant: str, log: int, rig: int) -> tuple[Calibration, RigVerdict, Errors, Machine]:
     """(found, judged, errors of what is told, the machine file as it is written)."""
-    right, _ = packaged()
+    right, _ = right_file(plant, log)
     _, measurements, truth = log_of(plant, log)
     bad = wrong_rig(np.random.default_rng([17, rig]))
     wrong = applied(right, bad)
@@ -281,7 +297,7 @@ def _table(errors: dict[str, list[tuple[float, float]]]) -> None:
     print("|---|---|---|---|---|---|")
     every: list[float] = []
     for number in SOUGHT:
-        for key in (number.name, f"planar {number.name}", f"spatial {number.name}"):
+        for key in (number.name, *(f"{plant} {number.name}" for plant in ("planar", "spatial", FLEET))):
             rows = np.array(errors.get(key, [])).reshape(-1, 2)
             if not len(rows):
                 continue
@@ -300,7 +316,6 @@ def _table(errors: dict[str, list[tuple[float, float]]]) -> None:
 
 def faults(plants: Sequence[str], logs: int, count: int, kept: KeptLines) -> None:
     """How often each structural fault is found, and what is found beside it."""
-    right, _ = packaged()
     for kind in STRUCTURE:
         hits, other, of = 0, list[str](), 0
         for plant in plants:
@@ -310,6 +325,7 @@ def faults(plants: Sequence[str], logs: int, count: int, kept: KeptLines) -> Non
                     continue
                 if line is None:
                     path, measurements, _ = log_of(plant, k % logs + 1)
+                    right, _ = right_file(plant, k % logs + 1)
                     line = {"kinds": sorted(set(_kinds(kind, k, right, path, measurements)))}
                     kept.add(kind, plant, k % logs + 1, k, line)
                 kinds = set(line["kinds"])
@@ -335,7 +351,7 @@ def _found_in_log(path: Path, machine: Machine) -> list[str]:
 
 
 def _kinds(kind: str, k: int, right: Machine, path: Path, measurements: list[Measurement]) -> Iterator[str]:
-    bad = structural(kind, np.random.default_rng([99, k, STRUCTURE.index(kind)]))
+    bad = structural(kind, right, np.random.default_rng([99, k, STRUCTURE.index(kind)]))
     wrong = applied(right, bad)
     if kind == "byte_order":
         wheel = right.wheel_angle.model_copy(update={"byte_order": "little"})
@@ -356,7 +372,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--plant", nargs="+", default=["planar", "spatial"])
+    parser.add_argument("--plant", nargs="+", default=["planar", "spatial", FLEET])
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--rigs", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the rig to begin with")

@@ -7,7 +7,7 @@ Six numbers in a row are those of C_af, C_ar, C_ai, sigma_f, sigma_r, sigma_i. `
 95 % intervals that hold the truth, with the 95 % interval of that share (Wilson); a bias is the mean error
 over the published sd, and an sd is one of a natural logarithm. The plants: in linear_plant.py the estimators'
 own model, in estimation_study.py the nonlinear one with frames, latency and coloured noise, and for rows that
-begin with spatial_ that of simulator/spatial/, by the logs of spatial_logs.py.
+begin with spatial_ that of simulator/spatial/, by the logs of spatial_logs.py. `fleet` is bench/fleet.py.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from pathlib import Path
 
 import estimation_runs as runs
 import estimation_study
+import fleet
 import numpy as np
 import spatial_rows
 from estimation_runs import Linear, PeerResult
@@ -286,6 +287,7 @@ ROWS: tuple[Row, ...] = (
     Row("speed", "≤ 40 µs; ≤ 250 ms; ≤ 1 s", speed),
     Row("plain", "", other_programs),
     *spatial_rows.ROWS,
+    Row(fleet.NAME, fleet.REACH, partial(fleet.row, 0)),
 )
 
 

@@ -30,9 +30,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from estimation_study import NMEA_2000, STAR_FIRE
 from rich.progress import Progress, TimeElapsedColumn
-from wrong_files import packaged, text_of
+from wrong_files import packaged
 
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.fleet import drawn as drawn_rig
+from tilth.simulator.fleet import headlands_of, scenario_of
+from tilth.simulator.fleet_files import owners_text, text_of, true_machine
 from tilth.simulator.noise import generator, within
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
@@ -110,6 +113,7 @@ class LogRow:
     rms: float = 0.01  # m, of the ground
     heavy: bool = False  # whether the implement weighs HEAVY
     receivers: int = STAR_FIRE  # NAME of the first: at 5 or 10 Hz
+    fleet: bool = False  # whether each seed is a rig of simulator/fleet.py
     gaps: tuple[tuple[float, float], ...] = ()  # s of the run, not recorded
     informed_s: float = 0.0  # from when on what is learned is of another soil
 
@@ -175,6 +179,13 @@ def _field(seed: int, have: Drawn) -> Mapping[str, Any]:
     return {"steering": work, "speed": have.speeds, "steering_limit_deg": LARGEST_DEG}
 
 
+def _fleet_field(seed: int, have: Drawn) -> Mapping[str, Any]:
+    work = Fieldwork(
+        length=round(have.length), turns=headlands_of(drawn_rig(seed)), turn_speed=have.turn_speed
+    )
+    return {"steering": work, "speed": have.speeds}
+
+
 def _planar_field(seed: int, have: Drawn) -> Mapping[str, Any]:
     ground = Ground(roll_sd_deg=0.7, force_sd=0.015)
     return {**_field(seed, have), "plant": "planar", "ground": ground, "spatial": Spatial()}
@@ -198,6 +209,7 @@ ROWS: Final = (
     LogRow("spatial_steps", 40, FIRST_S + 3 * (LEAD_S + STEP_S + GAP_S) - GAP_S + 0.5, _steps, gaps=_gaps()),
     LogRow("spatial_field", 40, FIELD_S, _field),
     LogRow("planar_field", 40, FIELD_S, _planar_field),
+    LogRow("fleet_field", 40, FIELD_S, _fleet_field, fleet=True),
     LogRow("spatial_soil", 40, CHANGE_S + 63.0, _soil, informed_s=CHANGE_S),
 )
 ROW: Final = {row.name: row for row in ROWS}
@@ -212,6 +224,12 @@ def folder_of(to: Path, row: str, seed: int) -> Path:
 
 def source_of(row: LogRow, seed: int) -> SimulationInput:
     have = drawn(seed)
+    if row.fleet:
+        rig = drawn_rig(seed)
+        scenario, text = scenario_of(rig, base(row, seed, have)), owners_text(rig, row.receivers)
+        driven = true_machine(rig, row.receivers)
+        told = as_json(scenario)
+        return SimulationInput(parse_machine(text), text, scenario, told, seed, row.seconds, driven)
     scenario, text = base(row, seed, have), machine_of(row, seed, have)
     return SimulationInput(parse_machine(text), text, scenario, as_json(scenario), seed, row.seconds)
 

@@ -3,12 +3,13 @@
     python bench/watch.py moved [--seeds 0-39] [--faults 2] [--keep DONE.jsonl]
     python bench/watch.py still [--seeds 0-39] [--keep DONE.jsonl]
 
-Uses the fields of bench/spatial_logs.py, of both plants. moved: in each log one thing at a time is moved by
-editing frames from the sixth minute on: a receiver by 10 cm forward or to the right, a pair by 1 degree (its
-front receiver to the side), the wheels' sensor by 1 degree. Prints how long it takes to the event, and how
-often the event names it. still: the same logs as they are, and after each spatial field the other rows of the
-same rig: slope, rough and flat ground, other soil, other speeds. Prints hours, false events, and the limit
-below which their rate is with 95 %. --keep: what is done is kept there, a line each, and not done again.
+Uses the fields of bench/spatial_logs.py, of both plants and of the virtual fleet. moved: in each log one
+thing at a time is moved by editing frames from the sixth minute on: a receiver by 10 cm forward or to the
+right, a pair by 1 degree (its front receiver to the side), the wheels' sensor by 1 degree. Prints how long it
+takes to the event, and how often the event names it. still: the same logs as they are, and after each spatial
+field the other rows of the same rig: slope, rough and flat ground, other soil, other speeds. Prints hours,
+false events, and the limit below which their rate is with 95 %.
+--keep: what is done is kept there, a line each, and not done again.
 """
 
 import argparse
@@ -39,7 +40,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.sentences import event_sentence
 
-FIELDS: Final = ("spatial_field", "planar_field")
+FIELDS: Final = ("spatial_field", "planar_field", "fleet_field")
 MORE: Final = tuple(f"spatial_{name}" for name in ("slope", "3cm", "soil", "flat", "3ms", "random"))
 AT_S: Final = 360.0  # when it happens
 SIZE: Final = 0.1  # m
@@ -271,7 +272,7 @@ def main() -> None:
     first = spatial_logs.read_run(CACHE, *each[0])
     count = len(faults(parse_machine(first.machine_text), 1.0))
     jobs: list[tuple[Any, ...]] = [
-        (row, seed, (args.faults * seed + k + 5 * (row == FIELDS[1])) % count)
+        (row, seed, (args.faults * seed + k + 5 * FIELDS.index(row)) % count)
         for (row, seed), k in itertools.product(each, range(args.faults))
     ]
     print_moved(done(args.keep, args.processes, with_a_fault, jobs))

@@ -1,7 +1,10 @@
 """Machine files that are wrong in one number: what becomes of each, on four drives; right files for hours.
 
-    python bench/wrong_files.py changes [--drive NAME] [--every N] [--out FILE]
-    python bench/wrong_files.py right --hours H [--out FILE]
+    python bench/wrong_files.py changes [--drive NAME] [--fleet N] [--every N] [--out FILE]
+    python bench/wrong_files.py right --hours H [--fleet] [--out FILE]
+
+--fleet N: also on N rigs of the virtual fleet, whose right files are those of their owners, by turns on the
+four drives; of `right`: only on rigs of it, in the cells of bench/fleet_design.py.
 
 Results are lines of JSON in FILE; what is there is not done again. Each change ends as one of
 
@@ -18,6 +21,7 @@ and `early_s` says how many seconds a wrong number was out before it was withdra
 
 import argparse
 import copy
+import itertools
 import json
 import math
 import operator
@@ -37,6 +41,8 @@ from typing import Any, Final
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from estimation_study import fitted_at_once
+from fleet_design import cell_of
+from fleet_design import scenario as scenario_in
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import diagnosis
@@ -46,6 +52,8 @@ from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, 
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.sentences import event_sentence, sentence
+from tilth.simulator.fleet import drawn, headlands_of, scenario_of
+from tilth.simulator.fleet_files import owners_text, text_of, true_machine
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
     Fieldwork,
@@ -62,6 +70,7 @@ from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
 Raw = dict[str, Any]
+FLEET: Final = "fleet-"  # before the number of a rig, as the name of a drive
 PARKED: Final = (12.0, 0.0)
 UNEVEN: Final = Ground(roll_sd_deg=0.7, force_sd=0.015)
 FIELD: Final = Soil(grip=0.7, rolling=0.06)
@@ -121,12 +130,18 @@ class FileChange:
 
 def packaged() -> Raw:
     """The demo's file with every number that it may hold written out."""
-    raw = tomllib.loads(resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8"))
+    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    return written_out(tomllib.loads(text))
+
+
+def written_out(raw: Raw) -> Raw:
+    """Every number that it may hold, as `numbers` names them."""
     for body in ("tractor", "implement"):
         raw[body] |= {"cg_sd": 0.02, "pair_yaw_sd": 0.2}
     for receiver in raw["receiver"]:
         receiver |= {
-            "survey_sd": 0.02, "position_sd": 0.025, "velocity_sd": 0.05, "yaw_rate_sd": 0.3, "roll_sd": 0.5,
+            "survey_sd": receiver.get("survey_sd", 0.02),
+            "position_sd": 0.025, "velocity_sd": 0.05, "yaw_rate_sd": 0.3, "roll_sd": 0.5,
             "heading_sd": 0.5, "latency": {"value": 0.1, "sd": 0.05},
             "roll_corrected": receiver.get("roll_corrected", False),
         }  # fmt: skip
@@ -134,32 +149,6 @@ def packaged() -> Raw:
         "offset": 0.0, "sign": 1, "gain": {"value": 1.0, "sd": 0.02}, "sd": 0.1,
     }  # fmt: skip
     return raw
-
-
-def text_of(raw: Raw) -> str:
-    """The file as TOML."""
-    lines: list[str] = []
-
-    def value(v: Any) -> str:
-        if isinstance(v, dict):
-            return "{ " + ", ".join(f"{k} = {value(x)}" for k, x in v.items()) + " }"
-        return json.dumps(v)  # numbers, texts, lists and booleans are written alike
-
-    def table(head: str, rows: Raw, nested: bool = False) -> None:
-        if not nested:
-            lines.append(head)
-        lines.extend(f"{k} = {value(v)}" for k, v in rows.items())
-
-    for name, part in raw.items():
-        if isinstance(part, list):
-            for item in part:
-                table(f"[[{name}]]", item)
-        elif name == "tyres":
-            for axle, tyre in part.items():
-                table(f"[tyres.{axle}]", tyre)
-        else:
-            table(f"[{name}]", part)
-    return "\n".join(lines) + "\n"
 
 
 # The changes.
@@ -317,11 +306,34 @@ class ReplayedDecoder(Decoder):
         return next(self._measurements)
 
 
+@dataclass(frozen=True)
+class RightDrive:
+    """A drive, with the file that is right of it."""
+
+    raw: Raw
+    machine: Machine  # as it is
+    scenario: Scenario
+
+
+@cache
+def named(name: str) -> RightDrive:
+    """One of DRIVES, or "fleet-N": rig N of the fleet on one of them."""
+    if name in DRIVES:
+        return RightDrive(packaged(), parse_machine(text_of(packaged())), DRIVES[name])
+    number = int(name.removeprefix(FLEET))
+    rig, scenario = drawn(number), list(DRIVES.values())[number % len(DRIVES)]
+    if isinstance(scenario.steering, Fieldwork):
+        scenario = replace(scenario, steering=replace(scenario.steering, turns=headlands_of(rig)))
+    raw = written_out(tomllib.loads(owners_text(rig)))
+    return RightDrive(raw, true_machine(rig), scenario_of(rig, replace(scenario, seed=number)))
+
+
 @cache
 def driven(name: str) -> tuple[list[Frame], list[list[Measurement]], dict[str, float]]:
     """(frames that give measurements with the right file, these measurements, true parameters)."""
-    machine, scenario = parse_machine(text_of(packaged())), DRIVES[name]
-    decoder = Decoder(machine)
+    right_one = named(name)
+    machine, scenario = right_one.machine, right_one.scenario
+    decoder = Decoder(parse_machine(text_of(right_one.raw)))
     all_frames = list(simulate(machine, scenario.seed, SECONDS, scenario))
     reported = [list(decoder.measurements(frame)) for frame in all_frames]
     used = [k for k, some in enumerate(reported) if some]
@@ -348,7 +360,8 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
     machine = parse_machine(text_of(raw))
     frames, reported, truth = driven(name)
     state = fold.initial(machine)
-    if raw["wheel_angle"] == packaged()["wheel_angle"] and not _decoded_otherwise(raw):
+    base = named(name).raw
+    if raw["wheel_angle"] == base["wheel_angle"] and not _decoded_otherwise(raw, base):
         state.decoder = ReplayedDecoder(machine, reported)
     out: list[Publication] = []
     for frame in frames:
@@ -368,10 +381,9 @@ def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> Seen
     return result
 
 
-def _decoded_otherwise(raw: Raw) -> bool:
+def _decoded_otherwise(raw: Raw, base: Raw) -> bool:
     keys = ("name", "position_sd", "velocity_sd", "yaw_rate_sd", "heading_sd", "roll_sd")
-    right = packaged()["receiver"]
-    return any(a[k] != b[k] for a, b in zip(raw["receiver"], right, strict=True) for k in keys)
+    return any(a[k] != b[k] for a, b in zip(raw["receiver"], base["receiver"], strict=True) for k in keys)
 
 
 def _errors(estimate: Estimate, logs: list[float]) -> tuple[float, ...]:
@@ -395,12 +407,12 @@ def _off(estimate: Estimate, logs: list[float]) -> list[float | None]:
 
 @cache
 def right(name: str) -> SeenFlags:
-    return drive(name, packaged())
+    return drive(name, named(name).raw)
 
 
 def outcome(name: str, change: FileChange) -> dict[str, Any]:
     """One line of the table."""
-    raw = packaged()
+    raw = copy.deepcopy(named(name).raw)
     change.apply(raw)
     line: dict[str, Any] = {"drive": name, "change": change.name, "group": change.group}
     try:
@@ -419,8 +431,11 @@ def outcome(name: str, change: FileChange) -> dict[str, Any]:
         "off": result.off,
     }
     if result.reasons:
-        named = any(part in reason for reason in result.reasons for part in GROUPS[change.group])
-        return line | {"outcome": "withdrawn" if named else "elsewhere", "reason": "; ".join(result.reasons)}
+        is_named = any(part in reason for reason in result.reasons for part in GROUPS[change.group])
+        return line | {
+            "outcome": "withdrawn" if is_named else "elsewhere",
+            "reason": "; ".join(result.reasons),
+        }
     if not any(math.isfinite(z) for rows in result.given.values() for _, zs in rows for z in zs):
         return line | {"outcome": "no number"}
     if worst > 3.0 and further > 0.0:
@@ -453,6 +468,20 @@ def _nearest(rows: list[tuple[float, tuple[float, ...]]], at_s: float) -> tuple[
 # Right files, for hours.
 
 
+def right_drives(of_the_fleet: bool) -> Iterator[tuple[str, RightDrive]]:
+    """(name, drive) without end."""
+    for number in itertools.count() if of_the_fleet else ():
+        rig, cell = drawn(number), cell_of(number)
+        first = cell.manoeuvre.receivers
+        raw, machine = tomllib.loads(owners_text(rig, first)), true_machine(rig, first)
+        yield f"fleet-{number}, {cell.manoeuvre.name}", RightDrive(raw, machine, scenario_in(rig, cell))
+    for name, scenario, load in right_scenarios():
+        raw = packaged()
+        raw["implement"]["mass"] = {"value": 2127.0 * load, "sd": 200.0}
+        raw["implement"]["yaw_inertia"] = 6402.0 * load
+        yield name, RightDrive(raw, parse_machine(text_of(raw)), scenario)
+
+
 def right_scenarios() -> Iterator[tuple[str, Scenario, float]]:
     """(name, scenario, load on the implement's mass) without end: all scenarios, soils, slopes, loads."""
     folder = Path(__file__).resolve().parents[1] / "examples" / "scenarios"
@@ -480,15 +509,12 @@ def right_scenarios() -> Iterator[tuple[str, Scenario, float]]:
             yield f"{name}, {kind}, slope {ground.slope_deg:g}, load {load:g}, seed {seed}", drawn, load
 
 
-def right_run(name: str, scenario: Scenario, load: float, seconds: float) -> dict[str, Any]:
+def right_run(name: str, one: RightDrive, seconds: float) -> dict[str, Any]:
     """Contradictions that a right file raises on one drive."""
-    raw = packaged()
-    raw["implement"]["mass"] = {"value": 2127.0 * load, "sd": 200.0}
-    raw["implement"]["yaw_inertia"] = 6402.0 * load
-    machine = parse_machine(text_of(raw))
+    machine = parse_machine(text_of(one.raw))
     state, began, confirmed_s, withheld_s, last_ns = fold.initial(machine), 0, math.nan, 0.0, 0
     events: list[tuple[float, str]] = []
-    for frame in simulate(machine, scenario.seed, seconds, scenario):
+    for frame in simulate(one.machine, one.scenario.seed, seconds, one.scenario):
         began = began or frame.t_ns
         out = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
         fold.request_fits(state, frame.t_ns)
@@ -522,7 +548,7 @@ def _one(job: tuple[str, int]) -> dict[str, Any]:
     return outcome(name, change) | {"id": f"{name} {change.name}"}
 
 
-def _hour(job: tuple[str, Scenario, float, float]) -> dict[str, Any]:
+def _hour(job: tuple[str, RightDrive, float]) -> dict[str, Any]:
     return right_run(*job)
 
 
@@ -538,7 +564,7 @@ def _all(jobs: list[Any], work: Callable[[Any], dict[str, Any]], path: Path, pro
 def summary(path: Path) -> None:
     """The share of each outcome, and every line that should not be."""
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    for drive_name in (*DRIVES, None):
+    for drive_name in (*dict.fromkeys(line["drive"] for line in lines), None):
         some = [line for line in lines if drive_name in (None, line["drive"])]
         counts = Counter(line["outcome"] for line in some)
         shares = ", ".join(f"{kind} {n} ({100 * n / len(some):.1f} %)" for kind, n in counts.most_common())
@@ -577,6 +603,7 @@ def main() -> None:
     )
     parser.add_argument("row", choices=("changes", "right"))
     parser.add_argument("--drive", choices=tuple(DRIVES), action="append")
+    parser.add_argument("--fleet", type=int, nargs="?", const=1, default=0, help="rigs of the fleet")
     parser.add_argument("--every", type=int, default=1, help="only each N-th change, on all drives")
     parser.add_argument("--hours", type=float, default=20.0)
     parser.add_argument("--seconds", type=float, default=180.0, help="of each right drive")
@@ -589,7 +616,7 @@ def main() -> None:
         every = [
             (name, k, f"{name} {c.name}")
             for k, c in list(enumerate(changes()))[:: args.every]
-            for name in args.drive or DRIVES
+            for name in (*(args.drive or DRIVES), *(f"{FLEET}{number}" for number in range(args.fleet)))
         ]
         done = _known(path, "id")
         jobs = [(name, k) for name, k, known in every if known not in done]
@@ -598,12 +625,12 @@ def main() -> None:
         summary(path)
         return
     done, rows, remaining = _known(path, "run"), [], args.hours * 3600.0
-    for name, scenario, load in right_scenarios():
+    for name, one in right_drives(bool(args.fleet)):
         if remaining <= 0.0:
             break
         remaining -= args.seconds
         if name not in done:
-            rows.append((name, scenario, load, args.seconds))
+            rows.append((name, one, args.seconds))
     if not args.summary:
         _all(rows, _hour, path, args.processes)
     summary_right(path)

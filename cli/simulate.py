@@ -21,7 +21,16 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.readable import reason_of
 from tilth.simulator.drive import drive
-from tilth.simulator.scenario import CannotBeDriven, Scenario, ScenarioError, check_mounts, parse_scenario
+from tilth.simulator.fleet import drawn, scenario_of
+from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.scenario import (
+    CannotBeDriven,
+    Scenario,
+    ScenarioError,
+    as_json,
+    check_mounts,
+    parse_scenario,
+)
 from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
@@ -49,7 +58,14 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("--send", action="store_true", help="also where it leaves this computer: on a wire")
     parser.add_argument("--seed", type=int, metavar="N", help="another rig and another drive (the file's)")
     parser.add_argument("--seconds", type=float, metavar="N", help="of driving (the file's)")
-    parser.add_argument("--machine", type=Path, metavar="M.toml", help="(the file's, or the packaged one)")
+    rigs = parser.add_mutually_exclusive_group()
+    rigs.add_argument("--machine", type=Path, metavar="M.toml", help="(the file's, or the packaged one)")
+    rigs.add_argument(
+        "--fleet",
+        type=int,
+        metavar="N",
+        help="rig N of the virtual fleet; its owner's file: LOG.machine.toml",
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
 
 
@@ -60,18 +76,32 @@ def run(args: argparse.Namespace) -> int:
     if args.send:
         raise WrongUse("--send is of --bus; a log is not sent")
     _check_out(args.out)
+    beside = _fleet_file(args)
     say_unusual("simulate", source.machine)
     with ExitStack() as stack:
         steps = bars(stack)
         try:
             simulated = simulate_to(source, args.out, lambda what, at_s: steps(what, at_s, source.seconds))
+            if beside is not None:
+                with beside.open("x", encoding="utf-8") as stream:
+                    stream.write(source.machine_text)
         except ValueError as error:
             raise _not_driven(args.scenario, error) from None
         except OSError as error:
             _say(f"{error.filename or args.out}: {reason_of(error)}")
             return 1
-    _tell(source, simulated, args.json)
+    _tell(source, simulated, args.json, beside)
     return 0
+
+
+def _fleet_file(args: argparse.Namespace) -> Path | None:
+    """Where the owner's machine file of a rig of the fleet goes. Raises WrongUse."""
+    if args.fleet is None:
+        return None
+    path: Path = args.out.with_name(args.out.name + ".machine.toml")
+    if path.exists():
+        raise WrongUse(f"{path}: exists; a file is never overwritten, give another name")
+    return path
 
 
 def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
@@ -96,13 +126,13 @@ def _on_buses(args: argparse.Namespace, source: SimulationInput) -> int:
         scenario = replace(source.scenario, clock_offset_s=0.0)
         try:
             truth = drive(
-                source.machine, source.seed, source.seconds, scenario,
+                source.rig, source.seed, source.seconds, scenario,
                 progress=lambda at_s: steps("driving", at_s, source.seconds),
             )  # fmt: skip
         except ValueError as error:
             raise _not_driven(args.scenario, error) from None
     try:
-        sent = send(source.machine, truth, dict(zip(names, given, strict=True)), _say)
+        sent = send(source.rig, truth, dict(zip(names, given, strict=True)), _say)
     except CannotSend as error:
         _say(str(error))
         return 1
@@ -126,7 +156,7 @@ def _source(args: argparse.Namespace) -> SimulationInput:
     try:
         text = args.scenario.read_text(encoding="utf-8-sig")
         scenario = parse_scenario(text)
-        machine, machine_text = _machine(args, scenario)
+        machine, machine_text, driven = _machine(args, scenario)
         check_mounts(scenario, [receiver.mount for receiver in machine.receiver])
     except ScenarioError as error:
         raise WrongUse(f"{args.scenario}: {error}") from None
@@ -146,16 +176,26 @@ def _source(args: argparse.Namespace) -> SimulationInput:
         raise WrongUse(f"--seed {seed}: give a whole number from 0 up")
     if not (math.isfinite(seconds) and 0 < seconds <= 86_400):
         raise WrongUse(f"--seconds {seconds:g}: give a number above zero, a day at most")
-    return SimulationInput(machine, machine_text, scenario, text, seed, seconds)
+    if args.fleet is not None:
+        scenario = scenario_of(drawn(args.fleet), scenario)
+        text = as_json(scenario)
+    return SimulationInput(machine, machine_text, scenario, text, seed, seconds, driven)
 
 
-def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str]:
+def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str, Machine | None]:
+    """The machine file and its text; and, where it errs, the machine as it is."""
+    if args.fleet is not None:
+        if args.fleet < 0:
+            raise WrongUse(f"--fleet {args.fleet}: give a whole number from 0 up")
+        rig = drawn(args.fleet)
+        text = owners_text(rig)
+        return parse_machine(text), text, true_machine(rig)
     if args.machine is not None:
-        return read_machine(args.machine)
+        return *read_machine(args.machine), None
     if scenario.machine is not None:
-        return read_machine(args.scenario.parent / scenario.machine)
+        return *read_machine(args.scenario.parent / scenario.machine), None
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    return parse_machine(text), text
+    return parse_machine(text), text, None
 
 
 def _check_out(log: Path) -> None:
@@ -168,18 +208,20 @@ def _check_out(log: Path) -> None:
         raise WrongUse(f"--out {log}: there is no folder {log.parent}")
 
 
-def _tell(source: SimulationInput, simulated: Simulated, as_json: bool) -> None:
+def _tell(source: SimulationInput, simulated: Simulated, json_only: bool, beside: Path | None) -> None:
     log, described, table = simulated.files
-    if as_json:
+    if json_only:
         counts = {"seed": source.seed, "seconds": source.seconds, "frames": simulated.frames}
         files = {"log": str(log), "truth": str(described), "table": str(table)}
+        files |= {} if beside is None else {"machine": str(beside)}
         print(json.dumps({**counts, **files, "parameters": simulated.truth.parameters}))
         return
     console = Console()
     if source.scenario.purpose:
         console.print(source.scenario.purpose, highlight=False)
     console.print(f"{simulated.frames} frames of {source.seconds:g} s, seed {source.seed}", highlight=False)
-    machine = [] if log.suffix == ".mcap" else ["--machine", "M.toml"]
-    for what, path in (("Log:   ", log), ("Truth: ", described), ("       ", table)):
+    machine = [] if log.suffix == ".mcap" else ["--machine", str(beside or "M.toml")]
+    owners = [] if beside is None else [("Owner: ", beside)]
+    for what, path in (("Log:   ", log), ("Truth: ", described), ("       ", table), *owners):
         console.print(f"{what} {path}", soft_wrap=True, highlight=False)
     console.print(f"Replay: {command('replay', str(log), *machine)}", soft_wrap=True, highlight=False)

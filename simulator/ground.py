@@ -1,7 +1,8 @@
 """The ground under the virtual tractor: its slope, what is uneven on it, and its soil over time and place.
 
 Uneven ground is a sum of waves along the way, so that it is band-limited, can be asked for anywhere, and does
-not depend on how long a run is. The implement comes over the same ground after the tractor's rear axle.
+not depend on how long a run is. The implement comes over the same ground after the tractor's rear axle; a rut
+pushes front, rear and implement's axle one after the other, each by its load.
 A plane that falls by `slope` (rad) towards `downhill` tilts a body by its heading; horizontal and inclined
 distances are not told apart (at 5° they differ by 0.4 %).
 """
@@ -15,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.models.nonlinear import STATES
-from tilth.estimator.models.parameters import Rig
+from tilth.estimator.models.parameters import Rig, static_loads
 from tilth.schemas.flow import PARAMETERS
 from tilth.simulator.scenario import Ground, Soil, SoilChange
 
 Array = NDArray[np.float64]
 
 WAVES: Final = 24
+RUT_WAVES: Final = 600  # so many that no filter can predict them: a continuous spectrum
 PATCH_BAND: Final = 4.0  # longest wave of the patches over the shortest
 AT: Final = {name: k for k, name in enumerate(STATES)}
 AXLES: Final = ("front", "rear", "implement")
@@ -37,8 +39,8 @@ class Waves(NamedTuple):
     """A band-limited function of one distance: sum of amplitude cos(wavenumber s + phase)."""
 
     amplitude: float
-    wavenumber: Array  # rad/m, (WAVES,)
-    phase: Array  # rad, (WAVES,)
+    wavenumber: Array  # rad/m, (n,)
+    phase: Array  # rad, (n,)
 
     def at(self, s: Array | float) -> Array:
         """Its value at each s, m; the shape of s."""
@@ -48,11 +50,11 @@ class Waves(NamedTuple):
         return np.asarray(self.amplitude * np.cos(angle).sum(axis=-1))
 
 
-def waves(rng: np.random.Generator, sd: float, band: tuple[float, float]) -> Waves:
-    """Waves of that standard deviation, their lengths (m) spread over the band by logarithm."""
-    shares = (np.arange(WAVES) + rng.random(WAVES)) / WAVES
+def waves(rng: np.random.Generator, sd: float, band: tuple[float, float], n: int = WAVES) -> Waves:
+    """n waves of that standard deviation, their lengths (m) spread over the band by logarithm."""
+    shares = (np.arange(n) + rng.random(n)) / n
     lengths = band[0] * (band[1] / band[0]) ** shares
-    return Waves(sd * math.sqrt(2.0 / WAVES), 2 * np.pi / lengths, rng.uniform(0.0, 2 * np.pi, WAVES))
+    return Waves(sd * math.sqrt(2.0 / n), 2 * np.pi / lengths, rng.uniform(0.0, 2 * np.pi, n))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +65,9 @@ class Terrain:
     downhill: float
     roll: tuple[float, float]  # of tractor and implement, whatever their heading
     rolling: Waves  # rad
-    lateral_force: Waves  # lateral force over weight
+    lateral_force: Waves  # lateral force over weight, or over an axle's load
     lag: float  # from the tractor's rear axle to the implement's
+    rut: bool = False  # whether it is each axle that it pushes
 
     def rolls(
         self, s: Array | float, heading_t: Array | float, heading_i: Array | float
@@ -81,8 +84,9 @@ class Terrain:
     def _roll(self, heading: Array | float) -> Array:
         return np.asarray(np.arcsin(np.sin(self.slope) * np.sin(self.downhill - heading)))
 
-    def inputs(self, s: float, x: Array, rig: Rig) -> tuple[float, float, float, float, float]:
-        """(gravity_t, gravity_i, drive, force_t, force_i) of the nonlinear model at one state, shape (13,).
+    def inputs(self, s: float, x: Array, rig: Rig) -> tuple[float, ...]:
+        """(gravity_t, gravity_i, drive, force_t, moment_t, force_i, moment_i) of the nonlinear model at one
+        state, shape (13,).
 
         Gravity along both bodies is one force on the tractor's drive.
         """
@@ -90,22 +94,30 @@ class Terrain:
         roll_t, roll_i = self.rolls(s, psi_t, psi_i)
         down_t, down_i = math.cos(self.downhill - psi_t), math.cos(self.downhill - psi_i)
         along = rig.g * math.sin(self.slope) * (rig.m_t * down_t + rig.m_i * down_i)
+        return rig.g * math.sin(roll_t), rig.g * math.sin(roll_i), along, *self._pushes(s, rig)
+
+    def _pushes(self, s: float, rig: Rig) -> tuple[float, float, float, float]:
+        """(force_t, moment_t, force_i, moment_i), N and N m."""
+        if self.rut:
+            places = s + np.array([rig.a, -rig.b, -rig.c - rig.towed_length])
+            front, rear, cart = (np.array(static_loads(rig)) * self.lateral_force.at(places)).tolist()
+            return front + rear, rig.a * front - rig.b * rear, cart, -rig.e * cart
         force_t = rig.m_t * rig.g * float(self.lateral_force.at(s))
         force_i = rig.m_i * rig.g * float(self.lateral_force.at(s - self.lag))
-        return rig.g * math.sin(roll_t), rig.g * math.sin(roll_i), along, force_t, force_i
+        return force_t, 0.0, force_i, 0.0
 
 
 def terrain(ground: Ground, roll_deg: tuple[float, float], rig: Rig, rng: np.random.Generator) -> Terrain:
     """The ground of a scenario under a rig."""
+    n, band = RUT_WAVES if ground.rut else WAVES, ground.band
     return Terrain(
         math.radians(ground.slope_deg),
         math.radians(ground.downhill_deg),
         (math.radians(roll_deg[0]), math.radians(roll_deg[1])),
-        waves(
-            rng, math.radians(ground.roll_sd_deg), (ROLL_WAVES * ground.band[0], ROLL_WAVES * ground.band[1])
-        ),
-        waves(rng, ground.force_sd, ground.band),
+        waves(rng, math.radians(ground.roll_sd_deg), (ROLL_WAVES * band[0], ROLL_WAVES * band[1]), n),
+        waves(rng, ground.force_sd, band, n),
         rig.c - rig.b + rig.towed_length,
+        ground.rut,
     )
 
 

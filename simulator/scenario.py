@@ -39,9 +39,12 @@ Speed = Annotated[float, Field(ge=-4, le=15)]
 Stiffness = Annotated[float, Field(ge=20e3, le=20e6)]
 Track = Annotated[float, Field(ge=0.8, le=6)]
 Gyration = Annotated[float, Field(ge=0.2, le=3)]
+Radius = Annotated[float, Field(ge=0.2, le=1.5)]
 Wave = Annotated[float, Field(ge=0.3, le=1000)]
 Instant = Annotated[int, Field(ge=946_684_800_000_000_000, le=4_102_444_800_000_000_000)]  # ns; 2000 to 2100
 ClockOffset = Annotated[float, Field(ge=-1e8, le=1e8)]  # s; three years
+TyreCurve = Literal["exponential", "tanh", "brush", "magic"]
+Lag = Literal["first_order", "string"]
 Parameter = Literal["C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i"]
 FaultKind = Literal["silent", "not_available", "repeat", "late", "moved", "rtk_float", "dgnss", "gnss"]
 
@@ -81,6 +84,15 @@ class DrivenManoeuvre:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class Autosteer:
+    """Steering in rows by one of simulator/autosteers.py, instead of by a regulator that knows the state."""
+
+    make: Literal["pid", "valve", "pursuit", "manual"]
+    own: Annotated[float, Field(ge=0, le=5)] = 1.0  # factor on its own errors, dead bands and steps
+    dither_deg: Annotated[float, Field(ge=0, le=2)] = 0.0  # sd of what it adds to the wheel angle it wants
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class RowSteering:
     """Automatic steering along a row that runs north from the start."""
 
@@ -88,6 +100,7 @@ class RowSteering:
     offset: Annotated[float, Field(ge=-30, le=30)] = 0.0  # m, of the row to the right of the start
     heading_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0  # of the rig at the start
     position_sd: NotNegative = 0.02  # m, slow error of the position that steering believes
+    autosteer: Autosteer | None = None
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -111,6 +124,7 @@ class Fieldwork:
     turn_speed: Annotated[float, Field(ge=0.5, le=5)] = 2.0  # m/s
     turns: tuple[HeadlandTurn, ...] = ()  # in this order, repeated; instead of spacing and turn_radius
     position_sd: NotNegative = 0.02  # as of Row
+    autosteer: Autosteer | None = None  # in the rows
 
 
 _KINDS: Final = ("turns", "step", "steps", "chirp", "random", "row", "field")
@@ -165,13 +179,14 @@ class Bump:
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class Ground:
     """A side slope, as a plane, and what is uneven on it: of the planar plant waves along the way that roll
-    and push both bodies, of the spatial one a height field."""
+    and push both bodies, of the spatial one a height field with a continuous spectrum."""
 
     slope_deg: Annotated[float, Field(ge=0, le=15)] = 0.0
     downhill_deg: Degrees = 90.0  # direction in which the plane falls, clockwise from north
     roll_sd_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # of either body on uneven ground
     force_sd: Annotated[float, Field(ge=0, le=0.3)] = 0.0  # of the force across either body, over its weight
     band: tuple[Positive, Positive] = (3.0, 30.0)  # m, shortest and longest wave; of roll 5 times these
+    rut: bool = False  # whether force_sd is of one rut that each axle meets in its turn; else of both CGs
     rms: Annotated[float, Field(ge=0, le=0.1)] | None = None  # m, of the height field; None: even, or drawn
     waves: tuple[Wave, Wave] = (1.0, 20.0)  # m, its shortest and longest wave
     bumps: tuple[Bump, ...] = ()
@@ -183,7 +198,10 @@ class Ground:
                 raise ValueError(f"{key} = {list(band)}: give the shortest wave first, then a longer one")
 
 
-_OF_PLANT: Final = {"planar": ("rms", "waves", "bumps"), "spatial": ("roll_sd_deg", "force_sd", "band")}
+_OF_PLANT: Final = {
+    "planar": ("rms", "waves", "bumps"),
+    "spatial": ("roll_sd_deg", "force_sd", "band", "rut"),
+}
 """Keys of Ground that a plant does not have."""
 
 
@@ -222,7 +240,10 @@ class Soil:
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
 
 
-# The spatial plant.
+# What a machine file does not say of the rig, for either plant.
+
+PlanarKey = Literal["w_f", "w_r", "w_i", "h_h", "roll_share_f", "load_exponent", "front_drive"]
+"""Of estimator.models.parameters.RIG_PARAMETERS."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -234,11 +255,14 @@ class Spatial:
     vertical_stiffness: tuple[Stiffness, Stiffness, Stiffness] | None = None  # N/m of each tyre; front,
     vertical_damping: tuple[NotNegative, NotNegative, NotNegative] | None = None  # rear, implement; N s/m
     track: tuple[Track, Track, Track] | None = None  # m
+    radius: tuple[Radius, Radius, Radius] | None = None  # m, of the loaded tyres
+    axle_mass: Positive | None = None  # kg, of the front axle with its wheels
+    suspension: tuple[Stiffness, NotNegative] | None = None  # N/m and N s/m of the front axle; None: rigid
     pin_height: Annotated[float, Field(ge=0, le=1.5)] | None = None  # m, of the front axle's pin
     hitch_height: Annotated[float, Field(ge=0.1, le=1.5)] | None = None  # m
     roll_gyration: tuple[Gyration, Gyration] | None = None  # m, radius of tractor and implement
-    tyre: Literal["exponential", "tanh", "brush", "magic"] | None = None
-    relaxation: Literal["first_order", "string"] | None = None
+    tyre: TyreCurve | None = None
+    relaxation: Lag | None = None
     load_exponent: Share | None = None  # of the stiffness
     camber_thrust: Share | None = None  # side force over load, for each rad that a tyre leans
     grip: Annotated[float, Field(ge=0.2, le=1000)] | None = None  # None: that of the soil, or drawn
@@ -266,12 +290,14 @@ class Wheel:
     """Errors of the wheel-angle sensor and its linkage."""
 
     zero_deg: Annotated[float, Field(ge=-5, le=5)] | None = None  # beyond the file's; None: drawn, sd 0.3
+    zero_drift_degps: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0  # of the zero, from the start on
     gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     dead_band_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # play: from the right to the left flank
     delay: Annotated[float, Field(ge=0, le=1)] = 0.0  # s, beyond the machine file's
     kingpin: Literal["mean", "left", "right"] = "mean"  # wheel that carries it, where the file says mean
     kingpin_distance: Track = 1.7  # m
     curve: Annotated[float, Field(ge=-0.3, le=0.3)] = 0.0  # 1/rad: wheel angle = reading + curve reading^2
+    bend: Annotated[float, Field(ge=-0.2, le=0.2)] = 0.0  # of the gain at 30 degrees to either side, less 1
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -352,6 +378,7 @@ class Scenario:
     ground: Ground = Ground()
     soil: Soil = Soil()
     spatial: Spatial = Spatial()
+    planar: Mapping[PlanarKey, NotNegative] | None = None  # of the rig, instead of what is usual
     survey: SurveyErrors = SurveyErrors()
     wheel: Wheel = Wheel()
     wheel_speed: WheelBasedSpeed = WheelBasedSpeed()
@@ -386,6 +413,8 @@ class Scenario:
         else:
             given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
             say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
+            if self.planar:
+                raise ValueError("planar is of the planar plant; give spatial")
         if given:
             raise ValueError(f"{given[0]} {say}")
 

@@ -78,6 +78,12 @@ class SimulationInput:
     scenario_text: str
     seed: int
     seconds: float
+    driven: Machine | None = None  # what the machine is in truth, where its file errs
+
+    @property
+    def rig(self) -> Machine:
+        """What is driven and sends."""
+        return self.driven or self.machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +131,7 @@ def simulate_to(
         if path.exists():
             raise FileExistsError(f"{path} exists")
     truth = drive(
-        source.machine, source.seed, source.seconds, source.scenario,
+        source.rig, source.seed, source.seconds, source.scenario,
         progress=lambda seconds: progress("driving", seconds),
     )  # fmt: skip
     with ExitStack() as stack:
@@ -134,7 +140,7 @@ def simulate_to(
         _write_truth(source, truth, files, beside)
         count = 0
         start_ns = host_clock(truth)(0.0)
-        for count, frame in enumerate(traffic(source.machine, truth), start=1):
+        for count, frame in enumerate(traffic(source.rig, truth), start=1):
             writer.frame(frame)
             if count % SHOWN == 0:
                 progress("frames", (frame.t_ns - start_ns) * 1e-9)

@@ -37,7 +37,8 @@ ROLL_DRAWN: Final = ((0.2, 0.5), (-1.0, 1.0), (0.0, 0.1), (0.0, 0.06))  # the sa
 COMPILED_FROM: Final = 2000  # samples: what is shorter is done before a compiler has been loaded
 TOLD: Final = 1000  # samples between two words on progress
 AT: Final = {name: k for k, name in enumerate(STATES)}
-DRIVEN: Final = [INPUTS.index(name) for name in ("gravity_t", "gravity_i", "drive", "force_t", "force_i")]
+OF_GROUND: Final = ("gravity_t", "gravity_i", "drive", "force_t", "moment_t", "force_i", "moment_i")
+DRIVEN: Final = [INPUTS.index(name) for name in OF_GROUND]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +162,7 @@ def _rig(
             h_i=rig.h_i + nuisances["cg_up_implement"],
             **dict.fromkeys(("grip_f", "grip_r", "grip_i"), scenario.soil.grip),
             **dict.fromkeys(("roll_f", "roll_r", "roll_i"), scenario.soil.rolling),
+            **{str(name): value for name, value in (scenario.planar or {}).items()},
         )
     )
 

@@ -3,7 +3,7 @@
 The engine integrates the bodies under gravity and under the forces that simulator/spatial/forces.py applies;
 it knows no ground and no contacts. World: x north, y east, z down. Ten degrees of freedom: six of the
 tractor, one of the beam about the pin's longitudinal axis, three of the ball at the drawbar's end. MuJoCo is
-free software under Apache-2.0 and comes with the extra `spatial`.
+free software under Apache-2.0 and comes with the extra `spatial`. A suspended front axle has one more.
 """
 
 import importlib
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tilth.schemas.invocation import installing
 from tilth.simulator.scenario import CannotBeDriven
-from tilth.simulator.spatial.vehicle import BEAM_GYRATION, BEAM_MASS, GRAVITY, PITCH_INERTIA, Vehicle
+from tilth.simulator.spatial.vehicle import BEAM_GYRATION, GRAVITY, PITCH_INERTIA, Vehicle, static_loads
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def _pin(vehicle: Vehicle) -> Array:
 def _inertias(vehicle: Vehicle) -> tuple[Tensor, Tensor, Tensor]:
     """Of the tractor without its front axle, of the implement and of the front axle, each about its CG."""
     m = vehicle.masses
-    pin, beam = _pin(vehicle), BEAM_MASS * m.m_t
+    pin, beam = _pin(vehicle), vehicle.beam_mass
     side = BEAM_GYRATION[0] * vehicle.track[0] / 2
     beam_inertia = beam * np.diag([side**2, BEAM_GYRATION[1] ** 2, side**2])
     roll_t, roll_i = vehicle.roll_gyration
@@ -104,7 +104,7 @@ def _inertias(vehicle: Vehicle) -> tuple[Tensor, Tensor, Tensor]:
 
 def _mjcf(vehicle: Vehicle, step: float) -> str:
     m = vehicle.masses
-    beam = BEAM_MASS * m.m_t
+    beam = vehicle.beam_mass
     chassis, pin = m.m_t - beam, _pin(vehicle)
     centre = -beam / chassis * pin
     inertia, cart, beam_inertia = _inertias(vehicle)
@@ -118,7 +118,7 @@ def _mjcf(vehicle: Vehicle, step: float) -> str:
       <freejoint/>
       <inertial pos="{_numbers(centre)}" mass="{chassis!r}" fullinertia="{_tensor(inertia)}"/>
       <body name="beam" pos="{_numbers(pin)}">
-        <joint type="hinge" axis="1 0 0"/>
+        <joint type="hinge" axis="1 0 0"/>{_suspension(vehicle)}
         <inertial pos="0 0 0" mass="{beam!r}" fullinertia="{_tensor(beam_inertia)}"/>
       </body>
       <body name="implement" pos="{_numbers([-m.c - m.d, 0.0, m.h_t - m.h_i])}">
@@ -128,6 +128,18 @@ def _mjcf(vehicle: Vehicle, step: float) -> str:
     </body>
   </worldbody>
 </mujoco>"""
+
+
+def _suspension(vehicle: Vehicle) -> str:
+    """The joint in which a suspended front axle moves up and down; at rest it is where a rigid one is."""
+    stiffness, damping = vehicle.suspension
+    if stiffness == 0.0:
+        return ""
+    at_rest = (static_loads(vehicle)[0] - vehicle.beam_mass * GRAVITY) / stiffness
+    return (
+        f'<joint type="slide" axis="0 0 1" stiffness="{stiffness!r}" damping="{damping!r}" '
+        f'springref="{at_rest!r}"/>'
+    )
 
 
 def _about(mass: float, place: Array) -> Tensor:

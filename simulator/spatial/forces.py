@@ -24,7 +24,7 @@ from tilth.simulator.spatial.tyre import (
     side_share,
     stiffness_at,
 )
-from tilth.simulator.spatial.vehicle import RADIUS, WHEELS, Vehicle, static_loads, wheel_places
+from tilth.simulator.spatial.vehicle import WHEELS, Vehicle, static_loads, wheel_places
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def tyres_of(vehicle: Vehicle) -> TyreSet:
     return TyreSet(
         np.array([2, 2, 1, 1, 3, 3]),
         place,
-        np.repeat(RADIUS, 2) + static / stiffness,
+        np.repeat(vehicle.radius, 2) + static / stiffness,
         stiffness,
         np.repeat(vehicle.damping, 2),
         static,

@@ -155,7 +155,7 @@ def settled_plant(
     plant = SpatialPlant(vehicle, ground, step)
     plant.soil = np.ascontiguousarray(soil, np.float64)
     up, north, east = height(ground, 0.0, 0.0)
-    plane_north, plane_east = (north, east) if not len(ground.wave) else map(float, ground.plane)
+    plane_north, plane_east = (north, east) if not len(ground.rough) else map(float, ground.plane)
     ahead = plane_north * math.cos(heading) + plane_east * math.sin(heading)
     lateral_offset = plane_east * math.cos(heading) - plane_north * math.sin(heading)
     plant.data.qpos[2] = -up - vehicle.masses.h_t
@@ -190,7 +190,7 @@ def check_upright(rows: Array, ground: HeightField, at_s: float | None) -> None:
     where += f"{abs(east):.1f} m {'west' if east < 0 else 'east'} of the start"
     cures = ["a lower speed", "smaller wheel angles"] if at_s else []
     cures += ["lower bumps with longer ramps"] if len(ground.bump) else []
-    cures += ["a smaller ground.rms"] if len(ground.wave) else []
+    cures += ["a smaller ground.rms"] if len(ground.rough) else []
     body, tilt = ("tractor", "implement")[k], ("roll", "pitch")[angle]
     raise CannotBeDriven(
         f"the {body} turns over {when}, {where}: its {tilt} passes {MOST_TILT_DEG:g}°; "

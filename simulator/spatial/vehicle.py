@@ -67,6 +67,9 @@ class Vehicle(NamedTuple):
     stiffness: Three  # N/m of each tyre
     damping: Three  # N s/m of each tyre
     track: Three  # m
+    radius: Three  # m, of the loaded tyres
+    beam_mass: float  # kg, of the front axle with its wheels
+    suspension: tuple[float, float]  # N/m and N s/m between it and the tractor; zeros: rigid
     pin_height: float
     hitch_height: float
     roll_gyration: tuple[float, float]
@@ -94,6 +97,9 @@ def vehicle_of(masses: Masses, scenario: Scenario, rng: np.random.Generator) -> 
         stiffness,
         given.vertical_damping or _each(stiffness, DAMPING_S * draws["damping"]),
         given.track or _each(TRACK, draws["track"]),
+        given.radius or RADIUS,
+        _first(given.axle_mass, BEAM_MASS * masses.m_t),
+        given.suspension or (0.0, 0.0),
         _first(given.pin_height, draws["pin_height"]),
         _first(given.hitch_height, draws["hitch_height"]),
         given.roll_gyration or (roll_t * draws["gyration"], roll_i * draws["gyration"]),
@@ -146,7 +152,7 @@ def wheel_places(vehicle: Vehicle) -> Array:
     m = vehicle.masses
     along = np.repeat([m.a, -m.b, -m.e], 2)
     across = np.array([SIDE[k % 2] * vehicle.track[k // 2] / 2 for k in range(6)])
-    down = np.repeat([m.h_t - RADIUS[0], m.h_t - RADIUS[1], m.h_i - RADIUS[2]], 2)
+    down = np.repeat(np.array([m.h_t, m.h_t, m.h_i]) - vehicle.radius, 2)
     return np.column_stack([along, across, down])
 
 
@@ -180,7 +186,7 @@ def _moved_by_a_tyre(vehicle: Vehicle, k: int) -> float:
     """The least mass that one tyre of an axle moves up and down, kg: both alike, or against each other."""
     m = vehicle.masses
     if k == 0:
-        return BEAM_MASS * m.m_t * BEAM_GYRATION[0] ** 2 / 2  # the axle rolls by itself
+        return vehicle.beam_mass * BEAM_GYRATION[0] ** 2 / 2  # the axle rolls by itself
     mass, yaw, arm, roll = (
         (m.m_t, m.I_t, m.b, vehicle.roll_gyration[0])
         if k == 1

@@ -17,6 +17,7 @@ from scipy.stats import binom
 
 from tilth.estimator.filters.unknowns import AT
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.fleet import drawn
 
 SCALE = 0.15  # of 120 s
 NAME = "spatial_random"
@@ -65,8 +66,8 @@ def _never(*_: Any, **__: Any) -> None:
 def test_after_a_line_that_was_cut_short_comes_a_new_one(tmp_path: Path) -> None:
     bench = Bench(kept=tmp_path / "kept.jsonl")
     (tmp_path / "kept.jsonl").write_text('{"row": "spa')
-    spatial_rows._keep(bench, {"row": NAME, "seed": 7, "scale": 1.0})
-    assert set(spatial_rows._kept(bench, NAME)) == {7}
+    spatial_rows.keep(bench, {"row": NAME, "seed": 7, "scale": 1.0})
+    assert set(spatial_rows.kept(bench, NAME)) == {7}
 
 
 def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> None:
@@ -79,12 +80,20 @@ def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> N
 
 
 def test_every_seed_has_its_own_rig_and_every_row_the_same() -> None:
-    sources = [spatial_logs.source_of(row, 1) for row in spatial_logs.ROWS]
+    sources = [spatial_logs.source_of(row, 1) for row in spatial_logs.ROWS if not row.fleet]
     heights = {source.machine.tractor.cg_height.value for source in sources}
     assert len(heights) == 1
     assert spatial_logs.drawn(1) != spatial_logs.drawn(2)
-    heavy = next(s for s, row in zip(sources, spatial_logs.ROWS, strict=True) if row.heavy)
+    heavy = spatial_logs.source_of(spatial_logs.ROW["spatial_8t"], 1)
     assert (heavy.machine.implement.mass.value, heavy.machine.implement.mass.sd) == (8000.0, 800.0)
+
+
+def test_a_seed_of_a_row_on_the_fleet_is_a_rig_of_it() -> None:
+    source = spatial_logs.source_of(spatial_logs.ROW["fleet_field"], 3)
+    assert source.machine.machine.name == "fleet-3"
+    assert source.driven is not None
+    assert source.driven.tractor.mass.value == pytest.approx(drawn(3).tractor.mass, abs=0.01)
+    assert source.machine.tractor.mass.value != source.driven.tractor.mass.value
 
 
 def test_between_the_step_runs_nothing_is_recorded() -> None:
@@ -137,6 +146,20 @@ def test_intervals_that_are_right_hold_and_others_do_not(scale: float, bias: flo
     assert all(judged) is held
     nothing = [line for line in lines if line.figure.startswith("tracker:")]
     assert [line.held for line in nothing] == [False]
+
+
+@pytest.mark.parametrize(("error", "sd", "held"), [(0.2, 0.01, False), (0.01, 0.2, True)])
+def test_what_is_held_against_the_limit_is_how_far_off_the_numbers_are(
+    error: float, sd: float, held: bool
+) -> None:
+    """Errors of either sign must not cancel, and a small sd is no merit."""
+    made = _made(1.0)
+    for k, run in enumerate(made):
+        run["methods"]["pem"] |= {"error": [error * (-1) ** k] * 6, "sd": [sd] * 6}
+        run["methods"]["pem"]["per_mass"] = [error * (-1) ** k, sd]
+    lines = {line.figure: line for line in spatial_rows.judged(made, spatial_rows.Reach(0.07, 0.12))}
+    off = lines["pem: |error|, median"]
+    assert off.held is held and off.values == pytest.approx([error] * 6)
 
 
 # Rows of their own.

@@ -21,6 +21,8 @@ from tilth.schemas.flow import PARAMETERS, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
+from tilth.simulator.fleet import drawn
+from tilth.simulator.fleet_files import owners_text
 from tilth.simulator.scenario import Scenario, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import host_clock, simulate
@@ -301,3 +303,43 @@ def test_a_simulation_that_is_stopped_leaves_nothing(tmp_path: Path, machine: Ma
     with pytest.raises(KeyboardInterrupt):
         simulate_to(source, tmp_path / f"run.{ending}", stop)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_rig_of_the_fleet_has_its_owners_file_beside_its_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is true is in the truth; what the owner says of it is in the log and beside it."""
+    (tmp_path / "drive.toml").write_text("seconds = 4.0\nsteering = [[1.0, 0.0], [5.0, 6.0]]\n")
+    told = [str(tmp_path / "drive.toml"), "--fleet", "7", "--json"]
+    assert main(["simulate", *told, "--out", str(tmp_path / "run.mcap")]) == 0
+    files = json.loads(capsys.readouterr().out)
+    text = Path(files["machine"]).read_text(encoding="utf-8")
+    assert text == owners_text(drawn(7))
+    assert machine_in([tmp_path / "run.mcap"]) == (parse_machine(text), text)
+    truth = _truth(tmp_path / "run.mcap")
+    assert truth["rig"]["m_i"]["value"] == pytest.approx(drawn(7).implement.mass, abs=0.01)
+    assert truth["rig"]["m_i"]["value"] != parse_machine(text).implement.mass.value
+    assert truth["parameters"] == pytest.approx(dict(drawn(7).parameters))
+    assert main(["simulate", *told, "--out", str(tmp_path / "other.mcap"), "--seed", "2"]) == 0
+    assert _truth(tmp_path / "other.mcap")["rig"] == truth["rig"]  # another drive of the same rig
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [(["--fleet", "-1"], "--fleet -1"), (["--fleet", "3", "--machine", str(MACHINE)], "not allowed with")],
+)
+def test_no_rig_of_the_fleet(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = str(SCENARIOS / "random.toml")
+    try:
+        status = main(["simulate", scenario, "--out", "/nowhere/run.mcap", *options])
+    except SystemExit as caught:
+        status = int(str(caught.code))
+    assert status == 2 and words in capsys.readouterr().err
+
+
+def test_the_owners_file_is_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run.log.machine.toml").write_text("mine")
+    out = ["--out", str(tmp_path / "run.log"), "--fleet", "3"]
+    assert main(["simulate", str(SCENARIOS / "random.toml"), *out]) == 2
+    assert "never overwritten" in capsys.readouterr().err
+    assert (tmp_path / "run.log.machine.toml").read_text() == "mine" and not (tmp_path / "run.log").exists()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tilth.estimator.models import nonlinear
-from tilth.estimator.models.parameters import TABLE_5_1
+from tilth.estimator.models.parameters import TABLE_5_1, Rig, static_loads
 from tilth.schemas.flow import PARAMETERS
-from tilth.simulator.ground import Waves, axles_of, crossings, field, share, terrain, waves
+from tilth.simulator.ground import Terrain, Waves, axles_of, crossings, field, share, terrain, waves
 from tilth.simulator.scenario import Ground, Soil, SoilChange
 
 RIG = TABLE_5_1
@@ -60,9 +60,50 @@ def test_the_implement_comes_over_the_same_ground_later() -> None:
     tractor, _ = land.rolls(s, 0.0, 0.0)
     _, implement = land.rolls(s + lag, 0.0, 0.0)
     np.testing.assert_allclose(implement, tractor, atol=1e-12)
-    _, _, _, force_t, _ = land.inputs(5.0, standing(0.0), RIG)
-    _, _, _, _, force_i = land.inputs(5.0 + lag, standing(0.0), RIG)
+    force_t = land.inputs(5.0, standing(0.0), RIG)[3]
+    force_i = land.inputs(5.0 + lag, standing(0.0), RIG)[5]
     assert force_i / RIG.m_i == pytest.approx(force_t / RIG.m_t)
+
+
+def pushes(land: Terrain, s: np.ndarray, rig: Rig = RIG) -> np.ndarray:
+    """Force on front, rear and implement's axle over its load, shape (n, 3)."""
+    force_t, moment_t, force_i, moment_i = np.array(
+        [land.inputs(at, standing(0.0), rig)[3:] for at in s.tolist()]
+    ).T
+    front = (moment_t + rig.b * force_t) / rig.wheelbase
+    assert moment_i == pytest.approx(-rig.e * force_i)
+    return np.column_stack([front, force_t - front, force_i]) / static_loads(rig)
+
+
+@pytest.mark.parametrize("rig", [RIG, RIG._replace(a=2.0, b=0.8, d=5.1, e=0.4, m_i=9000.0)])
+def test_a_rut_meets_the_three_axles_one_after_the_other(rig: Rig) -> None:
+    land = terrain(Ground(force_sd=0.02, rut=True), LEVEL, rig, rng())
+    step, n = 0.05, 20_000
+    along = pushes(land, step * np.arange(n), rig)
+    assert along.std(axis=0) == pytest.approx([0.02] * 3, rel=0.05)
+    behind_front = np.array([rig.wheelbase, rig.a + rig.c + rig.towed_length])
+    for axle, distance in zip((1, 2), behind_front, strict=True):
+        lags = np.arange(round(2 * distance / step))
+        alike = [np.mean(along[: n - k, 0] * along[k:, axle]) for k in lags]
+        assert step * np.argmax(alike) == pytest.approx(distance, abs=step)
+        assert max(alike) == pytest.approx(0.02**2, rel=0.1)
+
+
+def test_a_rut_has_a_continuous_spectrum() -> None:
+    step, n = 0.5, 4096
+    land = terrain(Ground(force_sd=0.02, rut=True), LEVEL, RIG, rng())
+    front = pushes(land, step * np.arange(n))[:, 0]
+    power = np.abs(np.fft.rfft(front * np.hanning(n))) ** 2
+    number = np.fft.rfftfreq(n, step)
+    inside = (number > 1 / 25) & (number < 1 / 3.5)
+    whitened = np.sort(power[inside] * number[inside])[::-1]
+    assert whitened[: len(whitened) // 20].sum() < 0.3 * whitened.sum()
+
+
+def test_pushes_at_the_cgs_do_not_turn_the_bodies() -> None:
+    land = terrain(Ground(force_sd=0.02), LEVEL, RIG, rng())
+    force_t, moment_t, force_i, moment_i = land.inputs(5.0, standing(0.0), RIG)[3:]
+    assert (moment_t, moment_i) == (0.0, 0.0) and force_t and force_i
 
 
 @pytest.mark.parametrize(
@@ -79,7 +120,7 @@ def test_a_plane_that_falls_to_the_east(heading_deg: float, roll_deg: float, pit
     assert (gravity_t, gravity_i) == pytest.approx((RIG.g * np.sin(np.radians(roll_deg)),) * 2, abs=1e-9)
     weight = RIG.g * (RIG.m_t + RIG.m_i)
     assert along == pytest.approx(-weight * np.sin(np.radians(pitch_deg)), abs=1e-6)
-    assert forces == [0.0, 0.0]
+    assert forces == [0.0] * 4
 
 
 # Soil.

@@ -94,6 +94,8 @@ WRONG = [
         'plant = "spatial"\nground = { roll_sd_deg = 1 }',
         ["ground.roll_sd_deg is of the planar plant"],
     ),
+    ("seconds = 180.0", 'plant = "spatial"\nplanar = { w_f = 2 }', ["planar is of the planar plant"]),
+    ("seconds = 180.0", "planar = { w_g = 2 }", ["planar.w_g", "w_f"]),
     ("seconds = 180.0", 'spatial = { tyre = "brsh" }', ["spatial.tyre", "brsh", "brush", "magic"]),
     ("seconds = 180.0", "spatial = { pin_hight = 1 }", ["spatial.pin_hight", "did you mean", "pin_height"]),
     ("seconds = 180.0", "spatial = { track = [1.9, 9.0, 2.2] }", ["spatial.track[2]", "9.0", "6"]),

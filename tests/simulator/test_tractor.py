@@ -103,6 +103,13 @@ def test_grip_and_rolling_resistance_reach_the_model(machine: Machine) -> None:
     assert 1.03 < slip(Soil(grip=1000.0, rolling=0.06)) / free < 1.5
 
 
+def test_what_no_machine_file_tells_of_the_rig_reaches_the_model(machine: Machine) -> None:
+    given = drive(machine, 1, 0.1, Scenario(planar={"w_r": 2.6, "h_h": 0.8, "load_exponent": 0.5})).rig
+    assert (given.w_r, given.h_h, given.load_exponent) == (2.6, 0.8, 0.5)
+    plain = drive(machine, 1, 0.1, Scenario()).rig
+    assert given == plain._replace(w_r=2.6, h_h=0.8, load_exponent=0.5)
+
+
 def test_states_are_those_of_the_model(machine: Machine) -> None:
     """Against a general integrator of the model's derivative with the same wheel angles."""
     truth = drive(machine, 3, 4.0, replace(QUIET, steering=((0.5, 0.0), (2.0, 8.0), (3.0, -5.0))))
@@ -295,6 +302,15 @@ def test_the_wheel_sensor_has_its_errors(machine: Machine) -> None:
     assert (output[100], is_[100]) == pytest.approx((0.5, 0.0))  # in the middle of its play
     assert (output[500], is_[500]) == pytest.approx((1.1 * 4.5 + 0.5, 5.0))  # on the one flank
     assert (output[900], is_[900]) == pytest.approx((-1.1 * 4.5 + 0.5, -5.0))  # and on the other
+
+
+def test_the_gain_of_the_wheel_sensor_bends_alike_to_both_sides(machine: Machine) -> None:
+    steering = ((2.0, 0.0), (4.0, 15.0), (6.0, -30.0))
+    truth = drive(
+        machine, 1, 12.0, Scenario(wheel=Wheel(zero_deg=0.0, bend=0.02), noise=0.0, steering=steering)
+    )
+    ratio = wheel_readings(truth)[[500, 1100]] / truth.wheel_angle[[500, 1100]]
+    assert ratio == pytest.approx([1.01, 1.02])
 
 
 def test_noise_has_the_stated_size(machine: Machine) -> None:

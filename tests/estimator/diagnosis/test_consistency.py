@@ -39,6 +39,7 @@ from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import event_sentence, notice_sentence, sentence
+from tilth.simulator.fleet_files import text_of
 from tilth.simulator.scenario import Fault, Ground, Scenario
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -151,7 +152,7 @@ def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
         raw["receiver"][0]["position"][1] += metres
     else:
         next(c for c in wrong_files.changes() if c.name == name).apply(raw)
-    state, out = run(parse_machine(wrong_files.text_of(raw)), frames())
+    state, out = run(parse_machine(text_of(raw)), frames())
     assert any(part in text for text in contradictions(out)), contradictions(out)
     assert not list(given(out))
     for estimate in state.estimates.values():

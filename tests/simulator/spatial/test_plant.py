@@ -195,6 +195,20 @@ def test_at_rest_on_level_ground_it_is_as_the_machine_file_says() -> None:
     )
 
 
+def test_a_suspended_front_axle_rests_where_a_rigid_one_does_and_takes_blows() -> None:
+    moving = []
+    for suspension in (None, (250e3, 9e3)):
+        spatial = Spatial(suspension=suspension, radius=(0.5, 0.8, 0.6), axle_mass=700.0)
+        plant = stand(spatial)
+        heights = plant.bodies()[:, AT["down"]]
+        assert heights == pytest.approx([-RIG.h_t, -RIG.h_i], abs=2e-3)
+        bump = Bump(12.0, 0.0, 0.08, 1.0, 6.0, 0.3)  # under both front wheels
+        motion = drive(stand(spatial, Ground(bumps=(bump,))), 3.5)
+        at = round(2.8 / STEP_S)
+        moving.append(np.ptp(motion.tyres[:at, :2, LOAD].sum(axis=1)))
+    assert moving[1] < 0.8 * moving[0]  # it takes some of the blow
+
+
 def test_the_true_parameters_are_those_of_small_slip_in_a_turn() -> None:
     """Whatever the curve: side force over slip of each axle in the gentlest turn."""
     for tyre in ("exponential", "tanh", "brush", "magic"):

@@ -90,3 +90,12 @@ def test_drawn_rigs_stand_and_their_steps_are_short_enough() -> None:
 def test_tyres_that_do_not_hold_the_rig_are_refused(spatial: Spatial, step: float, told: str) -> None:
     with pytest.raises(CannotBeDriven, match=told):
         v.check_tyres(made(spatial), step)
+
+
+def test_tyres_axle_and_suspension_are_as_told() -> None:
+    one = made(Spatial(radius=(0.5, 0.8, 0.6), axle_mass=700.0, suspension=(250e3, 9e3)))
+    assert (one.radius, one.beam_mass, one.suspension) == ((0.5, 0.8, 0.6), 700.0, (250e3, 9e3))
+    assert v.wheel_places(one)[:, 2] == pytest.approx(np.repeat([0.6, 0.3, 0.6], 2))
+    plain = made(Spatial())
+    assert (plain.radius, plain.suspension) == (v.RADIUS, (0.0, 0.0))
+    assert plain.beam_mass == pytest.approx(0.07 * RIG.m_t)

@@ -1,0 +1,105 @@
+"""The design on the virtual fleet: balance, table, a drive of it, and the rigs that other benches take of it."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import calibration
+import fleet
+import numpy as np
+import pytest
+import wrong_files
+from estimation_table import Bench
+from fleet_design import GROUNDS, MANOEUVRES, PLANTS, cell_of, scenario
+
+from tilth.simulator.fleet import drawn
+
+
+@pytest.mark.parametrize("first", [0, 17, 120])
+def test_sixty_drives_are_all_cells_once_and_fewer_are_balanced(first: int) -> None:
+    cells = [cell_of(first + k) for k in range(60)]
+    assert len({(c.manoeuvre.name, c.rms, c.plant, c.slope_deg) for c in cells}) == 60
+    for of, kinds in (
+        (lambda c: c.manoeuvre.name, len(MANOEUVRES)), (lambda c: c.rms, len(GROUNDS)),
+        (lambda c: (c.plant, c.slope_deg), len(PLANTS)),
+    ):  # fmt: skip
+        counts = Counter(map(of, cells[:24]))
+        assert len(counts) == kinds and max(counts.values()) - min(counts.values()) <= 1
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_every_cell_has_a_scenario_for_its_rig(number: int) -> None:
+    rig, cell = drawn(number), cell_of(number)
+    made = scenario(rig, cell)
+    assert (made.plant, made.ground.slope_deg) == (cell.plant, cell.slope_deg)
+    assert made.soil.parameters == rig.parameters
+    assert bool(made.ground.rut) is (cell.plant == "planar")
+
+
+def _made(z: float, sd: float, count: int = 60) -> list[fleet.Result]:
+    """Drives whose numbers are off by z sds, times a normal number."""
+    rng, made = np.random.default_rng(1), []
+    for k in range(count):
+        cell = cell_of(k)
+        said = {
+            "error": (z * sd * rng.standard_normal(6)).tolist(),
+            "sd": [sd] * 6,
+            "given": [True, k % 10 > 0],
+        }
+        made.append({
+            "row": "fleet", "seed": k, "first": 0, "scale": 1.0, "rig": k, "tractor": "heavy",
+            "implement": "sprayer", "duals": False, "manoeuvre": cell.manoeuvre.name, "rms": cell.rms, "slope": cell.slope_deg,
+            "plant": cell.plant, "methods": {"pem": said, "recommended": said}, "contradictions": [],
+            "took_s": 1.0,
+        })  # fmt: skip
+    return json.loads(json.dumps(made))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(("z", "sd", "held"), [(1.0, 0.05, True), (1.6, 0.05, False), (1.0, 0.4, False)])
+def test_the_table_tells_right_numbers_from_wrong_ones(z: float, sd: float, held: bool) -> None:
+    """Too far off for their sds, or too far off for use."""
+    lines = {line.figure: line for line in fleet.lines_of(_made(z, sd, 600))}
+    assert lines["pem C_ar"].held is held
+    assert lines["tracker C_ar"].reached == "no number"
+    given = lines["right files with numbers of recommended, 60 s after steering began"]
+    later = lines["right files with numbers of recommended, 120 s after steering began"]
+    assert (given.held, later.held) == (True, False)
+    assert lines["plant planar, 300 drives"].held is (z < 1.2)
+    assert lines["right files contradicted"].held is True
+
+
+def test_a_number_that_is_far_off_is_named_with_its_drive() -> None:
+    made = _made(1.0, 0.05, 4)
+    made[2]["methods"]["pem"]["error"][2] = 0.05 * 4.5
+    (line,) = (line for line in fleet.lines_of(made) if line.figure == "far off: pem C_ai")
+    assert line.reached.startswith("+4.5 sd") and "rig 2" in line.reached
+
+
+def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(runs=1, scale=0.12, kept=tmp_path / "kept.jsonl")
+    assert any(line.figure.startswith("right files") for line in fleet.row(0, bench))
+    made = json.loads((tmp_path / "kept.jsonl").read_text())
+    assert made["rig"] == 0 and {"pem", "tracker"} <= made["methods"].keys()
+    monkeypatch.setattr(fleet, "drawn", None)
+    fleet.row(0, bench)  # not driven again
+
+
+# The other benches on it.
+
+
+def test_wrong_files_of_the_fleet_start_from_their_owners() -> None:
+    one = wrong_files.named("fleet-3")
+    assert one.raw["tractor"]["mass"]["value"] != one.machine.tractor.mass.value
+    assert one.scenario.soil.parameters == drawn(3).parameters
+    name, right = next(wrong_files.right_drives(of_the_fleet=True))
+    assert name.startswith("fleet-0") and right.raw["machine"]["name"] == "fleet-0"
+    change = next(c for c in wrong_files.changes() if c.name == "tractor.a x 2")
+    change.apply(one.raw)
+    assert one.raw["tractor"]["a"]["value"] == pytest.approx(2 * drawn(3).tractor.a, abs=0.1)
+
+
+def test_the_right_file_of_a_calibrated_rig_of_the_fleet_is_exact() -> None:
+    machine, _ = calibration.right_file("fleet", 3)
+    assert machine.tractor.a.value == pytest.approx(drawn(3).tractor.a, abs=1e-4)
+    assert machine.machine.name == "fleet-3"
+    assert calibration.right_file("planar", 3) == calibration.packaged()
