@@ -80,7 +80,7 @@ def regress(stretches: Sequence[Array], order: int) -> FreeNoise:
     now = np.concatenate([e[order:] for e in stretches])
     prior = np.repeat((np.arange(1, order + 1) / FREE_NOISE.spread) ** 2, outputs)
     gram = past.T @ past
-    root = np.linalg.cholesky(gram + np.diag(prior))
+    root = np.asarray(np.linalg.cholesky(gram + np.diag(prior)), np.float64)
     seen = solve_triangular(root, past.T @ now, lower=True, check_finite=False)
     coefficients = np.asarray(solve_triangular(root, seen, lower=True, trans=1, check_finite=False))
     rest = now - past @ coefficients

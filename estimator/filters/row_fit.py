@@ -151,7 +151,7 @@ def epochs_of(instants: Array) -> NDArray[np.int64]:
     gaps = np.diff(within, append=within[0] + length)
     widest = int(np.argmax(gaps))
     begin = within[widest] + gaps[widest] / 2.0
-    return np.floor((instants - begin) / length).astype(np.int64)
+    return np.asarray(np.floor((instants - begin) / length), np.int64)
 
 
 def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
@@ -182,8 +182,9 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
     middle = np.bincount(epoch - first, instants, minlength=count)
     at = np.clip(np.round(middle / np.maximum(np.bincount(epoch - first), 1) / DT), 0, len(ticks) - 1)
     whitened = each._replace(slots=slots.astype(np.int64), scales=scales)
-    present = np.mean(counts.reshape(count, -1) > 0, axis=0)
-    return Row(whitened, count, e.reshape(count, -1), present, wheel[at.astype(np.int64)])
+    present = np.mean(np.asarray(counts.reshape(count, -1) > 0, np.float64), axis=0)
+    outputs = np.asarray(e, np.float64).reshape(count, len(OUTPUTS))
+    return Row(whitened, count, outputs, present, wheel[at.astype(np.int64)])
 
 
 class RowFit:

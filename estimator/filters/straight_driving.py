@@ -189,19 +189,18 @@ def straight_model(speeds: Array, unknowns: Array, setup: RigSetup, places: Plac
 
 def filter_model(speeds: Array, unknowns: Array, setup: RigSetup) -> FilterModel:
     """The filter at speeds, (s,), m/s, and a point of the unknowns, (n,)."""
-    F, Q, H = [], [], []
+    steps, noises, sensors = [], [], []
     for u in map(float, speeds):
         rates, processes = straight_rates(u, unknowns, setup, NOBODY), processes_at(u, unknowns, setup)
-        F.append(_filter_step(u, rates.rates_x, processes)[np.ix_(KEPT, KEPT)])
+        steps.append(_filter_step(u, rates.rates_x, processes)[np.ix_(KEPT, KEPT)])
         noise = np.diag(processes.q)
         noise[np.ix_(BANK_STATES, BANK_STATES)] += processes.bank_noise
         noise[X_POSITION + 1, X_POSITION + 1] += ACROSS**2 * DT
-        Q.append(noise[np.ix_(KEPT, KEPT)])
-        H.append(rates.H[:, KEPT])
+        noises.append(noise[np.ix_(KEPT, KEPT)])
+        sensors.append(rates.H[:, KEPT])
     start = variances_at_first(float(speeds.mean()), unknowns, setup)[np.ix_(KEPT, KEPT)]
-    return FilterModel(
-        speeds, *(np.ascontiguousarray(np.stack(each)) for each in (F, Q, H)), np.ascontiguousarray(start)
-    )
+    F, Q, H = (np.ascontiguousarray(np.stack(each)) for each in (steps, noises, sensors))
+    return FilterModel(speeds, F, Q, H, np.ascontiguousarray(start))
 
 
 def _filter_step(u: float, rates_x: Array, processes: Processes) -> Array:

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from tilth.estimator.record.record import PSI, TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
-from tilth.estimator.record.windows import refuse
 from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code
 
@@ -63,7 +62,7 @@ def observe(block: Block, segment: Segment | None, zero: float) -> None:
     if segment.reason is None and not _is_straight(segment, zero):
         block.reason = Code.NOT_STRAIGHT
     if block.reason is not None:
-        refuse(block, block.reason)
+        _count(block, block.reason)
     if block.reason is not None or not segment.follows:
         end_row(block)
     if block.reason is not None:
@@ -81,7 +80,7 @@ def end_row(block: Block) -> None:
     if len(block.row) >= SHORTEST:
         block.complete.append(concatenate(block.row))
     elif block.row:
-        block.refused[Code.TOO_SHORT] = block.refused.get(Code.TOO_SHORT, 0) + 1
+        _count(block, Code.TOO_SHORT)
     block.row = []
 
 
@@ -106,6 +105,10 @@ def rows_to_fit(block: Block) -> tuple[list[Record], bool]:
 def forget(block: Block) -> None:
     """Begin a block anew."""
     block.row, block.complete, block.fitted_s = [], [], 0.0
+
+
+def _count(block: Block, reason: Code) -> None:
+    block.refused[reason] = block.refused.get(reason, 0) + 1
 
 
 def _is_straight(segment: Segment, zero: float) -> bool:

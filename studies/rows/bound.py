@@ -3,9 +3,9 @@
 Nothing of the product's filter is in it. The rolling model (estimator/models/rolling.py), linearised about
 straight running at the true rig and speed, gives what each unknown changes in the readings along the true
 wheel angle (S), and a Kalman filter of its own, with a rough ground, whitens both. The innovations that are
-left at the truth are regressed on their own past (estimator/filters/free_noise.py); what the past cannot explain of the slopes
-is information. Unknowns beside the six, and what is known of them and of the six before, are those of the
-machine file (estimator/filters/unknowns.py).
+left at the truth are regressed on their own past (filters/free_noise.py); what the past cannot explain of the
+slopes is information. Unknowns beside the six, and what is known of them and of the six before, are those of
+the machine file (estimator/filters/unknowns.py).
 
 Valid for a row that runs north, from its start on, on one soil.
 """
