@@ -63,11 +63,13 @@ class RowFitTuning:
     settling_s: float = tuned(10.0, "s", "at the start of a row, in which the filter only finds its state")
     present: float = tuned(0.9, "1", "share of the epochs that an output must have, to be used")
     zero_sd: float = tuned(math.radians(1.0), "rad", "of the wheel angle of a row that goes straight on")
-    least_telling: float = tuned(1e-3, "1", "information over the prior's, of an unknown that rows can move")
+    least_telling: float = tuned(0.01, "1", "information over the prior's, of an unknown that rows can move")
     most_steps: int = tuned(12, "steps", "of the search")
     longest_step: float = tuned(0.7, "1", "of any of the six logarithms")
     settled: float = tuned(0.1, "sd", "of the posterior of the six: a step this small ends the search")
+    flat_cost: float = tuned(0.1, "nat", "a step that lowers the cost by less ends the search, too")
     renewed: float = tuned(0.3, "sd", "of the six, that a point moves until slopes are renewed")
+    beyond: float = tuned(0.8, "1", "a step whose parabola is lowest before this share went too far")
     shares: tuple[float, ...] = tuned((1.0, 0.5, 0.25, 0.1, 0.03), "1", "of a step, tried one by one")
 
 
@@ -285,10 +287,13 @@ class RowFit:
             newton, sds = newton_step(gradient, information)
             longest = float(np.max(np.abs(newton[: len(six)][six]), initial=0.0))
             most = min(1.0, ROW_FIT.longest_step / max(longest, 1e-9))
-            then = self._descend(at, most * newton)
+            then = self._descend(at, most * newton, most * float(gradient @ newton))
             size = float(np.max((np.abs(newton) / sds)[: len(six)][six], initial=0.0))
-            if then is None:
+            if then is None and moved == 0.0:
                 return at, step, size < 3 * ROW_FIT.settled, information
+            if then is None:  # along slopes of another point
+                at.slopes, moved = self.slopes(at), 0.0
+                continue
             before = self._deviation(at.unknowns, at.zeros)
             change = np.abs(self._deviation(then.unknowns, then.zeros) - before) / sds
             moved += float(np.max(change[: len(six)][six], initial=0.0))
@@ -296,20 +301,27 @@ class RowFit:
                 then.slopes, moved = self.slopes(then), 0.0
             else:
                 then.slopes = at.slopes
-            at = then
-            if size < ROW_FIT.settled:
+            flat, at = at.cost - then.cost < ROW_FIT.flat_cost, then
+            if size < ROW_FIT.settled or (flat and size < 5 * ROW_FIT.settled):
                 return at, step, True, self._terms(at)[1]
         return at, ROW_FIT.most_steps, False, self._terms(at)[1]
 
-    def _descend(self, at: Point, change: Array) -> Point | None:
-        """Of the shares of a step the first that lowers the cost; None without any."""
+    def _descend(self, at: Point, change: Array, slope: float) -> Point | None:
+        """Of the shares of a step the first that lowers the cost, or the lowest point of the parabola through
+        it; None without any. slope: of the cost along the step, nats."""
         for share in ROW_FIT.shares:
-            unknowns = at.unknowns.copy()
-            unknowns[self.active] += share * change[: len(self.active)]
-            then = self.at(unknowns, at.zeros + share * change[len(self.active) :])
-            if then is not None and then.cost < at.cost:
-                return then
+            then = self._moved(at, share * change)
+            if then is None or then.cost >= at.cost:
+                continue
+            lowest = -slope * share**2 / (2.0 * max(then.cost - at.cost - slope * share, 1e-9))
+            between = self._moved(at, lowest * change) if lowest < ROW_FIT.beyond * share else None
+            return between if between is not None and between.cost < then.cost else then
         return None
+
+    def _moved(self, at: Point, change: Array) -> Point | None:
+        unknowns = at.unknowns.copy()
+        unknowns[self.active] += change[: len(self.active)]
+        return self.at(unknowns, at.zeros + change[len(self.active) :])
 
     def _posterior(self, at: Point, steps: int, converged: bool, information: Array) -> RowPosterior:
         """What was not active follows what it was correlated with."""

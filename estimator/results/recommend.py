@@ -115,8 +115,8 @@ def _by_rows(
 ) -> Iterator[tuple[Estimate, Reason]]:
     """Rows, where they know all six better than any other method does, and contradict none.
 
-    A row is driven between two headland turns, so it is not younger than what they tell; but it has many times
-    their data, in the range in which a controller uses the numbers.
+    Rows have many times the data of the turns at their ends, in the range in which a controller uses the
+    numbers.
     """
     rows = estimates.get(ROWS)
     if rows is None or not _is_finite(rows) or len(_usable_parameters(rows, Status.ESTIMATED)) < 6:
