@@ -38,10 +38,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 from studies.rows.bound import bound_of
 from studies.rows.own_share import own_of
-from studies.rows.row_fit import RowFit
 from studies.rows.study import longest
-from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.methods import rows
 from tilth.estimator.record.record import Record, concatenate
 from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import PARAMETERS
@@ -117,14 +115,15 @@ class Fit(NamedTuple):
     mean: Array  # (6,), logarithms
     sd: Array  # (6,)
     own_share: float
-    settled: bool
+    refused: str | None  # why the method would not use it
 
 
 def fit(machine: Machine, record: Record) -> Fit:
-    """By the method that is judged; another one takes this function's place."""
-    mean, sd = unknowns.prior(machine)
-    found = RowFit([record], rig_setup(machine), mean, np.diag(sd**2)).maximise()
-    return Fit(found.mean[:6], np.sqrt(np.diag(found.covariance)[:6]), found.own_share, found.converged)
+    """By the method that is judged, as it publishes it: without a number where it withholds one."""
+    state = rows.initial(machine)
+    found = rows.fit(machine, rows.Job(0, record.end_ns, [record], False, state.mean, state.covariance))
+    sd = np.sqrt(np.diag(found.covariance)[:6] + state.model_sd**2)
+    return Fit(found.mean[:6], sd, found.own_share, found.refused)
 
 
 # One drive.
@@ -170,7 +169,7 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
     said = fit(file, concatenate(usable))
     return result | {
         "error": (said.mean - run.logs).tolist(), "sd": said.sd.tolist(), "bound": least.sd.tolist(),
-        "step": least.step.tolist(), "said_share": said.own_share, "settled": said.settled,
+        "step": least.step.tolist(), "said_share": said.own_share, "refused": said.refused,
         "unexplained": least.unexplained, "wheel_deg": own.driven_deg, "own_deg": own.own_deg,
         "share": own.share, "seconds": SEGMENT_S * len(usable) - SETTLING_S, "made_s": made_s,
         "fit_s": time.perf_counter() - began - made_s,
@@ -189,8 +188,13 @@ def row(name: str, first: int, bench: Bench) -> list[Line]:
 
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
-    driven = [one for one in made if "error" in one]
-    lines = [Line("could not be driven", f"rigs {[one['rig'] for one in made if 'error' not in one]}")]
+    driven = [one for one in made if "error" in one and not one["refused"]]
+    withheld = [one for one in made if "error" in one and one["refused"]]
+    lines = [
+        Line("could not be driven", f"rigs {[one['rig'] for one in made if 'error' not in one]}"),
+        Line("withheld", f"rigs {[one['rig'] for one in withheld]}"),
+        *_drives(withheld),
+    ]
     if not driven:
         return lines
     for name in ("all", *MAKES, *PLANTS):
@@ -244,7 +248,7 @@ def _drives(made: Sequence[Result]) -> Iterator[Line]:
             f"{one['rig']} {one['make']}, {one['plant']}, {100 * one['rms']:g} cm, {one['speed']:.1f} m/s",
             f"{shown}; wheel {one['wheel_deg']:.2f}°, own {one['own_deg']:.2f}°; shares "
             + figures([one[key] for key in ("share", "unexplained", "said_share")])
-            + ("" if one["settled"] else "; not settled"),
+            + (f"; withheld: {one['refused']}" if one["refused"] else ""),
         )
 
 

@@ -3,9 +3,9 @@
 Nothing of the product's filter is in it. The rolling model (estimator/models/rolling.py), linearised about
 straight running at the true rig and speed, gives what each unknown changes in the readings along the true
 wheel angle (S), and a Kalman filter of its own, with a rough ground, whitens both. The innovations that are
-left at the truth are regressed on their own past (free_noise.py); what the past cannot explain of the slopes
-is information. Unknowns beside the six, and what is known of them and of the six before, are those of the
-machine file (estimator/filters/unknowns.py).
+left at the truth are regressed on their own past (filters/free_noise.py); what the past cannot explain of the
+slopes is information. Unknowns beside the six, and what is known of them and of the six before, are those of
+the machine file (estimator/filters/unknowns.py).
 
 Valid for a row that runs north, from its start on, on one soil.
 """
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from studies.rows.free_noise import gradient_and_information, regress, slopes_left
 from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.free_noise import gradient_and_information, regress
 from tilth.estimator.filters.rig_setup import nominal_roll
 from tilth.estimator.filters.unknowns import UNKNOWNS, ActsAs
 from tilth.estimator.models.rolling import empty_motion, rates
@@ -337,12 +337,12 @@ def bound_of(
     order = int(np.clip(np.ceil(PAST * way / u / EPOCH_S), *ORDERS))
     made = whitened(point, u, np.concatenate([left, slopes], axis=2))[round(SETTLING_S / EPOCH_S) - order :]
     noise = regress([made[:, :, 0]], order)
-    gradient, told = gradient_and_information(noise, slopes_left(noise, [-made[:, :, 1:]]))
+    gradient, told = gradient_and_information(noise, [-made[:, :, 1:]])
     covariance = np.linalg.inv(told + np.diag(known_before**-2))
     wheel = truth.wheel_angle[samples[round(SETTLING_S / EPOCH_S) :]]
-    wheel = wheel - wheel.mean()
-    rest = wheel - noise.explained(wheel)
-    share = float(rest @ rest / noise.freedom / np.mean(wheel**2))
     return Bound(
-        np.sqrt(np.diag(covariance)[:6]), -(covariance @ gradient)[:6], min(share, 1.0), float(np.std(wheel))
+        np.sqrt(np.diag(covariance)[:6]),
+        -(covariance @ gradient)[:6],
+        noise.share_of_own(wheel),
+        float(np.std(wheel)),
     )

@@ -40,7 +40,7 @@ def _made(z: float, over: float, count: int = 200) -> list[dict[str, Any]]:
             "row": "rows usual", "seed": k, "first": 0, "scale": 2.0, "rig": k, "speed": 4.0,
             **cell._asdict(),
             "error": (z * sd * rng.standard_normal(6)).tolist(), "sd": [sd] * 6, "bound": [0.1] * 6,
-            "step": (0.1 * rng.standard_normal(6)).tolist(), "said_share": 0.9, "settled": True,
+            "step": (0.1 * rng.standard_normal(6)).tolist(), "said_share": 0.9, "refused": None,
             "unexplained": 0.9, "wheel_deg": 0.5, "own_deg": 0.45, "share": 0.81,
         })  # fmt: skip
     return json.loads(json.dumps(made))  # type: ignore[no-any-return]
