@@ -19,6 +19,7 @@ from tilth.schemas.flow import (
     BodyPose,
     Estimate,
     Event,
+    OwnSteering,
     ParameterEstimate,
     Pose,
     Status,
@@ -106,7 +107,15 @@ def estimate_of(data: bytes, encoding: str) -> Estimate:
         determined=tuple(Combination(tuple(one.exponents), one.log_sd) for one in message.combinations),
         bound=tuple(message.bound),
         advice=_advice(message.advised),
+        own_steering=_own_steering(message),
     )
+
+
+def _own_steering(message: pb.SoilTireEstimate) -> OwnSteering | None:
+    if not message.HasField("own_steering"):
+        return None
+    own = message.own_steering
+    return OwnSteering(own.share, own.rms, own.seconds)
 
 
 def _parameter(row: pb.Parameter, i: int, covariance: Sequence[float], wrong: str) -> ParameterEstimate:

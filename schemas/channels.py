@@ -118,6 +118,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         message.combinations.add(exponents=one.exponents, log_sd=one.log_sd)
     if estimate.advice is not None:
         message.advised.CopyFrom(pb.Advice(**asdict(estimate.advice)))
+    if estimate.own_steering is not None:
+        message.own_steering.CopyFrom(pb.OwnSteering(**asdict(estimate.own_steering)))
     if estimate.condition is not None:
         message.condition = estimate.condition
     per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
@@ -282,6 +284,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire/steady_state", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/steady_state"),
     Channel("/soil_tire/tracker", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/tracker"),
     Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
+    Channel("/soil_tire/rows", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/rows"),
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),

@@ -356,6 +356,16 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class OwnSteering:
+    """How much of the wheel angle in straight rows the steering makes by itself, apart from what it answers
+    to the ground: only that tells of the tyres."""
+
+    share: float  # of the variance, 0 to 1
+    rms: float  # rad, of that share
+    seconds: float  # of rows that it is of
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """What one estimator says of the six parameters at one instant."""
 
@@ -374,6 +384,7 @@ class Estimate:
     determined: tuple[Combination, ...] = ()  # parameters, or combinations, that data and prior determine
     bound: tuple[float, ...] = ()  # sd of each logarithm by the data alone, infinite where open; or empty
     advice: Advice | None = None  # which manoeuvre would help, and by how much
+    own_steering: OwnSteering | None = None  # of the method `rows`: in the rows fitted last
 
 
 class EventKind(StrEnum):

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from tilth.schemas.machine import Machine
+from tilth.simulator.autosteers import autosteer_of
 from tilth.simulator.pilots import Driver, driver_of
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.spatial_run import drive_spatial
@@ -26,10 +27,20 @@ def drive(
     """
     scenario = scenario or Scenario()
     setting = setting_of(machine, seed, seconds, scenario)
-    driver = (
-        driver_of(scenario, setting.believed, setting.time, seed) if driven_by is None else driven_by(setting)
+    return drive_in(
+        setting, driver_in(machine, setting) if driven_by is None else driven_by(setting), progress
     )
-    if scenario.plant == "spatial":
+
+
+def driver_in(machine: Machine, setting: Setting) -> Driver:
+    """The driver of the setting's scenario."""
+    autosteer = autosteer_of(machine, setting)
+    return driver_of(setting.scenario, setting.believed, setting.time, setting.seed, autosteer)
+
+
+def drive_in(setting: Setting, driver: Driver, progress: Callable[[float], None] | None = None) -> Truth:
+    """`drive`, with what is drawn as it is. Raises CannotBeDriven, NotInstalled."""
+    if setting.scenario.plant == "spatial":
         return drive_spatial(setting, driver, progress)
     states, theta = integrate(setting.rig, driver, setting.land, setting.soil, setting.time, progress)
     return setting.truth(setting.time, 0.0, states, theta)

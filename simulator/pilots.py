@@ -7,7 +7,7 @@ turns by looking ahead along a path. He is asked every HOLD samples.
 import math
 from dataclasses import dataclass, field
 from itertools import cycle
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,23 @@ IN_LINE: Final = (0.15, math.radians(4.0))  # m and rad off the row: where the r
 AT: Final = {name: k for k, name in enumerate(STATES)}
 
 
+class InRow(NamedTuple):
+    """Where the tractor is in a row."""
+
+    row: int
+    right: float  # m, of its CG right of the row, as it drives
+    off: float  # rad, of its heading from the row's
+    ahead: float  # 1: the row runs north, -1: south
+
+
+class RowSteer(Protocol):
+    """An autosteer of simulator/autosteers.py."""
+
+    def command(self, k: int, x: Array, at: InRow) -> float:
+        """The actuator's command at sample k, rad/s. x: the state, (13,)."""
+        ...
+
+
 class Driver(Protocol):
     """Who steers."""
 
@@ -67,12 +84,15 @@ class Driver(Protocol):
         ...
 
 
-def driver_of(scenario: Scenario, rig: Rig, time: Array, seed: int) -> Driver:
-    """The driver of a scenario. rig: what a pilot believes of the machine. time: (n,), s, STEP_S apart."""
+def driver_of(
+    scenario: Scenario, rig: Rig, time: Array, seed: int, autosteer: RowSteer | None = None
+) -> Driver:
+    """The driver of a scenario. rig: what a pilot believes of the machine. time: (n,), s, STEP_S apart.
+    autosteer: in rows instead of the pilot's regulator."""
     speed = speeds(scenario, time, generator(seed, noise.SPEED))
     steering = scenario.steering
     if isinstance(steering, (RowSteering, Fieldwork)):
-        return pilot(scenario, steering, rig, speed, generator(seed, noise.BELIEF))
+        return pilot(scenario, steering, rig, speed, generator(seed, noise.BELIEF), autosteer)
     return DrivePlan(wheel_angles(scenario, time, generator(seed, noise.STEERING)), speed)
 
 
@@ -189,6 +209,7 @@ class Pilot:
     rate: float  # rad/s
     limit: float
     actuator: Actuator | None = BOSSERD
+    autosteer: RowSteer | None = None
     row: int = 0
     turning: int | None = None  # how far along the turn's path
     path: Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -226,13 +247,17 @@ class Pilot:
         return turns[self.row % len(turns)]
 
     def _regulated(self, k: int, x: Array) -> float:
-        """-K x in the row's frame."""
+        """-K x in the row's frame, or what an autosteer commands."""
         north = self.row % 2 == 0
         off = x.copy()
         across = x[AT["y_t"]] - self.east
-        off[AT["y_t"]] = (across if north else -across) + self.belief[k]
+        right = across if north else -across
+        off[AT["y_t"]] = right + self.belief[k]
         for name in ("psi_t", "psi_i"):
             off[AT[name]] = math.remainder(x[AT[name]] - (0.0 if north else math.pi), math.tau)
+        if self.autosteer is not None:
+            at = InRow(self.row, float(right), float(off[AT["psi_t"]]), 1.0 if north else -1.0)
+            return self.autosteer.command(k, x, at)
         design = round((abs(x[AT["u"]]) - SLOWEST) / DESIGN_STEP)
         return -float(self.gains[min(max(design, 0), len(self.gains) - 1)] @ off)
 
@@ -305,7 +330,12 @@ class Pilot:
 
 
 def pilot(
-    scenario: Scenario, work: RowSteering | Fieldwork, rig: Rig, speed: Array, rng: np.random.Generator
+    scenario: Scenario,
+    work: RowSteering | Fieldwork,
+    rig: Rig,
+    speed: Array,
+    rng: np.random.Generator,
+    autosteer: RowSteer | None = None,
 ) -> Pilot:
     """A pilot for a scenario; his gains are the dissertation's weights on the relaxation-length model."""
     rows = Fieldwork() if isinstance(work, RowSteering) else work
@@ -324,6 +354,7 @@ def pilot(
         wheelbase=rig.wheelbase,
         rate=math.radians(scenario.steering_rate_degps),
         limit=math.radians(scenario.steering_limit_deg),
+        autosteer=autosteer,
     )
 
 

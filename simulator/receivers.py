@@ -24,6 +24,8 @@ from tilth.simulator.tractor import BodyTrack, Setting, Truth, leaning, rate
 ORIGIN_DEG: Final = (42.0267, -93.6465)
 """Latitude and longitude of the truth's x = y = 0."""
 
+FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be contested, come first
+
 POSITION_WHITE = 0.008  # m, per axis
 POSITION_OWN = (0.007, 20.0)  # m and s of each receiver's slow error
 POSITION_COMMON = (0.015, 100.0)  # m and s of the error that all share
@@ -119,7 +121,7 @@ class Receiving:
         at = _at(self._machine, truth, self.receiver, self.epochs[which], self._moved_m[which])
         noise, dx, dy = self._noise[:, which], self._off[0][which], self._off[1][which]
         north, east = at.forward_velocity + VELOCITY * noise[0], at.lateral_velocity + VELOCITY * noise[1]
-        longitude, latitude = _plane().transform(at.y + dy, at.x + dx, direction="INVERSE")
+        longitude, latitude = plane().transform(at.y + dy, at.x + dx, direction="INVERSE")
         columns = (
             self.epochs[which],
             self._sent[which],
@@ -134,6 +136,14 @@ class Receiving:
         )
         rows = zip(*(column.tolist() for column in columns), self._effects[which], strict=True)
         return [self._repeating(Report(*row)) for row in rows]
+
+    def heard(self) -> Array:
+        """What whoever steers by it hears, without the truth: of each epoch that is sent with a position,
+        (instant, s; when it is sent, s; errors of position and of velocity to north and east, and of the turn
+        rate), (m, 7)."""
+        good = np.array([effect.sends and effect.available for effect in self._effects], dtype=np.bool_)
+        off = (*self._off, *(VELOCITY * self._noise[:2]), YAW_RATE * self._noise[2])
+        return np.column_stack([self.epochs, self._sent, *off])[good]
 
     def _repeating(self, row: Report) -> Report:
         """The last good position again, where it holds that."""
@@ -158,6 +168,7 @@ class WheelSensor:
         self._noise = run.scenario.noise * generator(run.seed, streams.WHEEL).normal(
             0.0, WHEEL, len(run.time)
         )
+        self._drift = float(np.radians(run.scenario.wheel.zero_drift_degps))  # rad/s
         self._passed: float | None = None
         self._wheel, self._base = run.scenario.wheel, run.rig.a + run.rig.b
 
@@ -166,9 +177,10 @@ class WheelSensor:
         moved = _with_play(angle, self._play, angle[0] if self._passed is None else self._passed)
         self._passed = float(moved[-1])
         noise = self._noise[first : first + len(angle)]
+        drifted = self._drift * STEP_S * np.arange(first, first + len(angle))
         shown = _by_the_linkage(_of_the_kingpin(moved, self._wheel, self._base), self._wheel.curve)
         shown = shown * (1.0 + self._wheel.bend * np.abs(shown) / BENT)
-        return np.asarray(self._told["wheel_gain"] * shown + self._told["wheel_zero"] + noise)
+        return np.asarray(self._told["wheel_gain"] * shown + self._told["wheel_zero"] + drifted + noise)
 
 
 def _of_the_kingpin(mean: Array, wheel: Wheel, base: float) -> Array:
@@ -206,7 +218,8 @@ def _with_play(angle: Array, play: float, value: float) -> Array:
 
 
 @cache
-def _plane() -> Transformer:
+def plane() -> Transformer:
+    """From longitude and latitude, degrees, to metres east and north of ORIGIN_DEG."""
     plane = f"+proj=tmerc +lat_0={ORIGIN_DEG[0]} +lon_0={ORIGIN_DEG[1]} +k=1 +ellps=WGS84 +units=m"
     return Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 

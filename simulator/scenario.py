@@ -84,6 +84,15 @@ class DrivenManoeuvre:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class Autosteer:
+    """Steering in rows by one of simulator/autosteers.py, instead of by a regulator that knows the state."""
+
+    make: Literal["pid", "valve", "pursuit", "manual"]
+    own: Annotated[float, Field(ge=0, le=5)] = 1.0  # factor on its own errors, dead bands and steps
+    dither_deg: Annotated[float, Field(ge=0, le=2)] = 0.0  # sd of what it adds to the wheel angle it wants
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class RowSteering:
     """Automatic steering along a row that runs north from the start."""
 
@@ -91,6 +100,7 @@ class RowSteering:
     offset: Annotated[float, Field(ge=-30, le=30)] = 0.0  # m, of the row to the right of the start
     heading_deg: Annotated[float, Field(ge=-60, le=60)] = 0.0  # of the rig at the start
     position_sd: NotNegative = 0.02  # m, slow error of the position that steering believes
+    autosteer: Autosteer | None = None
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -114,6 +124,7 @@ class Fieldwork:
     turn_speed: Annotated[float, Field(ge=0.5, le=5)] = 2.0  # m/s
     turns: tuple[HeadlandTurn, ...] = ()  # in this order, repeated; instead of spacing and turn_radius
     position_sd: NotNegative = 0.02  # as of Row
+    autosteer: Autosteer | None = None  # in the rows
 
 
 _KINDS: Final = ("turns", "step", "steps", "chirp", "random", "row", "field")
@@ -279,6 +290,7 @@ class Wheel:
     """Errors of the wheel-angle sensor and its linkage."""
 
     zero_deg: Annotated[float, Field(ge=-5, le=5)] | None = None  # beyond the file's; None: drawn, sd 0.3
+    zero_drift_degps: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0  # of the zero, from the start on
     gain: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     dead_band_deg: Annotated[float, Field(ge=0, le=5)] = 0.0  # play: from the right to the left flank
     delay: Annotated[float, Field(ge=0, le=1)] = 0.0  # s, beyond the machine file's

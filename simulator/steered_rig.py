@@ -23,11 +23,11 @@ from tilth.schemas.wheel_angle import compile_sensor
 from tilth.simulator.noise import SPEED, generator
 from tilth.simulator.other_traffic import Sent
 from tilth.simulator.pilots import ACCELERATION, HOLD, speeds
-from tilth.simulator.receivers import Receiving, WheelSensor
+from tilth.simulator.receivers import FIRST_EPOCH_S, Receiving, WheelSensor
 from tilth.simulator.scenario import STEP_S
 from tilth.simulator.steering import Steering
 from tilth.simulator.tractor import Setting, Truth
-from tilth.simulator.traffic import FIRST_EPOCH_S, Arbiter, claims_of, ecu_frames, receiver_frames
+from tilth.simulator.traffic import Arbiter, claims_of, ecu_frames, receiver_frames
 from tilth.simulator.wheel_speed import indicated
 
 Array = NDArray[np.float64]

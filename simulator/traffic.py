@@ -28,12 +28,11 @@ from tilth.schemas.machine import Bus, Machine, Receiver
 from tilth.schemas.wheel_angle import compile_sensor
 from tilth.simulator.drive import drive
 from tilth.simulator.other_traffic import DEVICES, Sent, other_frames
-from tilth.simulator.receivers import Report, reports, star_fire_like, wheel_readings
+from tilth.simulator.receivers import FIRST_EPOCH_S, Report, reports, star_fire_like, wheel_readings
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.tractor import Setting, Truth
 from tilth.simulator.wheel_speed import wheel_speeds
 
-FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be contested, come first
 PREFERRED: Final = {True: 28, False: 70}  # source address: StarFire-like, NMEA 2000
 DYNAMIC: Final = range(128, 248)  # where those go who lose their preferred address
 CLUMP_GAP_S: Final = {True: 0.0012, False: 0.0006}  # between a receiver's own frames

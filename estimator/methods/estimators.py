@@ -12,7 +12,7 @@ from typing import Any
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.filters import steady_outputs, unknowns
-from tilth.estimator.methods import learned, pem, steady_state, tracker, two_step
+from tilth.estimator.methods import learned, pem, rows, steady_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import Estimate, Pose
@@ -94,6 +94,18 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.clock_stepped,
         fitting=Fitting(pem.PEM.latency_ns, pem.request_fit, pem.fit, pem.rehearse, pem.adopt, pem.finish),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
+    ),
+    Estimator(
+        rows.METHOD,
+        rows.RowsState,
+        rows.initial,
+        rows.take,
+        rows.estimate,
+        rows.clock_stepped,
+        fitting=Fitting(
+            rows.TUNING.latency_ns, rows.request_fit, rows.fit, rows.rehearse, rows.adopt, rows.finish
+        ),
+        memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_rows, learned.into_rows),
     ),
     Estimator(
         two_step.METHOD,

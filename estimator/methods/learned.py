@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods.pem import PemState, drifted
+from tilth.estimator.methods.rows import RowsState, learned_covariance
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.tuning import tuned
@@ -88,6 +89,20 @@ def into_pem(state: PemState, learned: Learned) -> None:
     # The covariance has them in it; taken for noise, they would average out in the windows to come.
     model_sd = np.array([max(_counted(learned, name), 0.0) for name in _MODEL_SDS])
     state.model_sd = np.minimum(model_sd, LEARNED.largest_share * np.sqrt(np.diag(learned.covariance)[SIX]))
+
+
+def of_rows(state: RowsState) -> Learned:
+    """What this method has learned, from its state."""
+    counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
+    return Learned(state.mean.copy(), learned_covariance(state), counts)
+
+
+def into_rows(state: RowsState, learned: Learned) -> None:
+    """Put what was learned into a fresh state."""
+    state.mean, state.covariance = learned.mean, learned.covariance
+    state.before_mean, state.before_covariance = learned.mean.copy(), learned.covariance.copy()
+    state.fits = int(_counted(learned, "fits"))
+    state.window_s = state.before_s = _counted(learned, "window_s")
 
 
 def _counted(learned: Learned, name: str) -> float:

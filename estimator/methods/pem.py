@@ -206,19 +206,19 @@ def fit(machine: Machine, job: Job) -> Fit:
     mean, covariance = job.mean, job.covariance
     found = _posterior(job.record, setup, mean, covariance, prior_mean)
     change = found.mean[SIX] - mean[SIX]
-    contradiction, changed = 0.0, False
+    chi_square, changed = 0.0, False
     if np.all(np.isfinite(found.covariance)):
         errors = fit_covariance.model_sd_of(job.record, found.mean)
         after = found.covariance[SIX, SIX] - np.diag(errors**2)
-        contradiction = _contradiction(change, covariance[SIX, SIX], after, errors)
-    if contradiction > PEM.suspect_chi_square:
+        chi_square = contradiction(change, covariance[SIX, SIX], after, errors)
+    if chi_square > PEM.suspect_chi_square:
         covariance = covariance.copy()
         covariance[SIX, :] = covariance[:, SIX] = 0.0
         covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
         mean = np.concatenate([prior_mean[SIX], mean[6:]])
         anew = _posterior(job.record, setup, mean, covariance)
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
-        changed = contradiction > PEM.change_chi_square or ratio > PEM.change_ratio
+        changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
         found = scoring.with_gain(anew, found.gain) if changed else found
     return Fit(
         found.mean, found.covariance, found.information[SIX, SIX], found.gain, found.whiteness, found.cost,
@@ -233,13 +233,19 @@ def _posterior(
 
     A stiffness is as uncertain as the mass that it is learned over, and errs with it.
     """
+    known = with_known_masses(covariance)
+    found = scoring.maximise_posterior(record, setup, mean, known, reference)
+    return replace(found, covariance=found.covariance + of_masses(covariance))
+
+
+def with_known_masses(covariance: Array) -> Array:
+    """A covariance, (n, n), of all else where the masses are as the file says."""
     known = covariance.copy()
     for mass in unknowns.MASSES:
         if known[mass, mass] > 0.0:
             known -= np.outer(known[:, mass], known[mass]) / known[mass, mass]
         known[mass, :] = known[:, mass] = 0.0
-    found = scoring.maximise_posterior(record, setup, mean, known, reference)
-    return replace(found, covariance=found.covariance + of_masses(covariance))
+    return known
 
 
 def of_masses(covariance: Array) -> Array:
@@ -255,7 +261,7 @@ def of_masses(covariance: Array) -> Array:
     return added
 
 
-def _contradiction(change: Array, before: Array, after: Array, model_sd: Array) -> float:
+def contradiction(change: Array, before: Array, after: Array, model_sd: Array) -> float:
     """Chi-square, 6 degrees of freedom, of a window's change of the six.
 
     The covariance of the change is before - after, and the part that a window has in it of what the model has

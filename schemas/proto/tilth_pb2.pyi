@@ -238,8 +238,18 @@ class Excitation(_message.Message):
     value: float
     def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
 
+class OwnSteering(_message.Message):
+    __slots__ = ("share", "rms", "seconds")
+    SHARE_FIELD_NUMBER: _ClassVar[int]
+    RMS_FIELD_NUMBER: _ClassVar[int]
+    SECONDS_FIELD_NUMBER: _ClassVar[int]
+    share: float
+    rms: float
+    seconds: float
+    def __init__(self, share: _Optional[float] = ..., rms: _Optional[float] = ..., seconds: _Optional[float] = ...) -> None: ...
+
 class SoilTireEstimate(_message.Message):
-    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised")
+    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
@@ -257,6 +267,7 @@ class SoilTireEstimate(_message.Message):
     CHOSEN_FIELD_NUMBER: _ClassVar[int]
     COMBINATIONS_FIELD_NUMBER: _ClassVar[int]
     ADVISED_FIELD_NUMBER: _ClassVar[int]
+    OWN_STEERING_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     method: str
     model: str
@@ -274,7 +285,8 @@ class SoilTireEstimate(_message.Message):
     chosen: Reason
     combinations: _containers.RepeatedCompositeFieldContainer[Combination]
     advised: Advice
-    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ...) -> None: ...
+    own_steering: OwnSteering
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ..., own_steering: _Optional[_Union[OwnSteering, _Mapping]] = ...) -> None: ...
 
 class FitOutcome(_message.Message):
     __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns")

@@ -38,6 +38,11 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.SPEED_NOT_STEADY: "speed not steady",
     Code.TOO_LITTLE_STEERING: "too little steering",
     Code.HELD: "the wheels are held at one angle: steer to both sides",
+    Code.NOT_STRAIGHT: "not a straight row",
+    Code.LITTLE_OWN_STEERING: (
+        "in the rows the steering answers the ground and does next to nothing of its own: a dither of 0.3"
+        " degrees would help"
+    ),
     Code.TOO_SHORT: "too short a time without a gap",
     Code.FIT_OVERTAKEN: "the fit of the window before was late",
     Code.CONTRADICTED: "the data contradict the machine file",
@@ -59,6 +64,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.FIT_GIVEN_UP: "a fit was not ready {n[0]:.0f} s after it was due and is given up",
     Code.NOTHING_LEARNED: "nothing has been learned yet",
     Code.NOTHING_FITTED: "no driving with steering has been fitted yet",
+    Code.NO_ROWS_YET: "no two minutes of straight rows have been fitted yet",
     Code.NO_STEADY_TURN_YET: "no steady turn yet",
     Code.NO_WINDOW_YET: "no window has been fitted yet",
     Code.WIDE: "the data leave {n[0]:share}: more steering is needed",
@@ -94,6 +100,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window of pem",
+    Code.ROWS_TELL_MORE: "{of[0]}: straight rows tell all six, and more than headlands do",
     Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",

@@ -1,4 +1,4 @@
-"""Straight rows under automatic steering, fitted with the product's filter and a free noise model.
+"""Straight rows under automatic steering: a stretch, fitted as the method `rows` does, beside the truth.
 
     uv run python -m studies.rows.study LOG... [--seconds A:B]
 
@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.rows.row_fit import RowFit
 from tilth.analysis.runs.driving import driving
 from tilth.analysis.runs.run import open_runs
-from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.methods import rows
 from tilth.estimator.record.record import Segment, concatenate
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.flow import PARAMETERS
@@ -52,15 +50,16 @@ def main() -> None:
         true = np.log([(truth if beside else truth["parameters"])[name] for name in PARAMETERS])
         (run,) = open_runs(log, machine=machine)
         record = concatenate(longest([driven.segment for driven in driving(run)])[begin:end])
-        mean, sd = unknowns.prior(run.machine)
-        found = RowFit([record], rig_setup(run.machine), mean, np.diag(sd**2)).maximise()
+        state = rows.initial(run.machine)
+        job = rows.Job(0, record.end_ns, [record], False, state.mean, state.covariance)
+        found = rows.fit(run.machine, job)
         errors, sds = found.mean[:6] - true, np.sqrt(np.diag(found.covariance)[:6])
         ratios.append(errors / sds)
         told = "  ".join(
             f"{100 * e:+.0f} ({100 * s:.0f}; {e / s:+.1f})" for e, s in zip(errors, sds, strict=True)
         )
-        own = f"own share {found.own_share:.2f}, wheel {np.degrees(found.wheel_rms):.2f} deg rms"
-        print(f"{log.name}: {told}  {own}, {found.steps} steps, settled: {found.converged}", flush=True)
+        own = f"own share {found.own_share:.2f}, {np.degrees(found.own_rms):.2f} deg rms"
+        print(f"{log.name}: {told}  {own}, {found.steps} steps, {found.refused or 'used'}", flush=True)
     size = np.abs(ratios)
     print(f"within 2 sd: {int(np.sum(size < 2.0))} of {size.size}, largest {size.max():.1f}")
 

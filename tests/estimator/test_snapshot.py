@@ -99,8 +99,8 @@ def test_it_is_json_of_a_version_and_not_long() -> None:
     assert set(document) == {"version"} | kept
     del document["estimators"]["pem_two_step"]  # which few ask for
     assert (
-        len(json.dumps(document, separators=(",", ":"))) < 370_000
-    )  # 66 unknowns, the covariance of which two methods keep
+        len(json.dumps(document, separators=(",", ":"))) < 500_000
+    )  # 66 unknowns, the covariance of which three methods keep, one twice
     assert snapshot(restore(MACHINE, stored())) == stored()
 
 

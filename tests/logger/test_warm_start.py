@@ -17,7 +17,7 @@ from tilth.estimator.diagnosis.information import InformationForm
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.filters import unknowns
 from tilth.estimator.fold import resume, save_learned
-from tilth.estimator.methods import pem, steady_state, tracker
+from tilth.estimator.methods import pem, rows, steady_state, tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import WHEEL
@@ -48,7 +48,7 @@ VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-warm"
 def teach(state: fold.State, informed_ns: int) -> None:
     """As if all methods had learned something by then."""
     rng = np.random.default_rng(2)
-    for method in (pem.METHOD, tracker.METHOD, steady_state.METHOD):
+    for method in (pem.METHOD, rows.METHOD, tracker.METHOD, steady_state.METHOD):
         ours, memory = state.estimators[method], ROW[method].memory
         assert memory is not None
         known = memory.learned(ours)
@@ -287,7 +287,8 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     first.close()
     second_rig = rig(tmp_path, VIRTUAL)
     second, result = a_run(tmp_path, second_rig, keep=True)
-    assert [text[:38] for text in result.of_warm_start()] == ["steady_state, tracker, pem go on from "]
+    (said,) = result.of_warm_start()
+    assert said.startswith("steady_state, tracker, pem, rows go on from ")
     assert second.parts.estimation.fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)

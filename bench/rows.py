@@ -1,0 +1,294 @@
+"""What do straight rows tell? Drives of rigs of the fleet under autosteers of different make, each fit judged
+by the bound of its drive.
+
+    python bench/rows.py [--row usual] [--count 12] [--first 0] [--minutes 2] [--processes 1]
+                         [--keep rows.jsonl] [--summary]
+
+Drive k is of rig k of simulator/fleet.py, whose owner's file the fit is given; make of the autosteer, plant
+and roughness of the ground go round by `cell_of`. The bound and the own share are those of the true drive
+(studies/rows/bound.py, own_share.py). What is done is kept, a line each, and not done again.
+
+z is an error over its sd, both of natural logarithms. An sd more than 10 % below the bound is a fault. Of
+each drive: error (sd, bound) of the six in %, rms of the wheel angle and of what is the steering's own in it,
+and its share: by another drive without ground, by past innovations at the truth, and as the fit says.
+"""
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+import spatial_rows
+from estimation_study import Driven, poses_and_segments
+from estimation_table import Bench, Line, Row, Z, figures, percents, table_of
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress, TimeElapsedColumn
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
+from studies.rows.bound import bound_of
+from studies.rows.own_share import own_of
+from studies.rows.study import longest
+from tilth.estimator.methods import rows
+from tilth.estimator.record.record import Record, concatenate
+from tilth.logger.fitting import ONE_THREAD
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.drive import drive
+from tilth.simulator.fleet import FleetRig, drawn, ground_of, scenario_of
+from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.scenario import Autosteer, CannotBeDriven, RowSteering, Scenario
+
+Array = NDArray[np.float64]
+Result = dict[str, Any]
+"""Of `follow`: one line of JSON."""
+
+NAME: Final = "rows"
+BEGIN_S: Final = 5.0  # of a drive, before which nothing is used
+SETTLING_S: Final = 10.0  # of the fit and of the bound, besides
+SEGMENT_S: Final = 0.2
+FAULT: Final = 0.9  # least published sd over the bound
+REACH: Final = (0.92, 0.98, 0.25, 0.85, 0.4, 1.5)
+"""Pooled from, to and |mean z|; of each the least share, largest |mean z|, and median sd over the bound."""
+REACH_TEXT: Final = (
+    "pooled 92 to 98 % hold, mean z ± 0.25; each ≥ 85 %, ± 0.4; sd ≤ 1.5 times the bound, none < 0.9"
+)
+MAKES: Final[tuple[Literal["pid", "valve", "pursuit"], ...]] = ("pid", "valve", "pursuit")
+PLANTS: Final[tuple[Literal["planar", "spatial"], ...]] = ("planar", "spatial")
+GROUNDS: Final = (0.005, 0.010, 0.015)  # m, rms
+
+
+class Cell(NamedTuple):
+    """What drive k is of, besides its rig."""
+
+    make: Literal["pid", "valve", "pursuit"]
+    plant: Literal["planar", "spatial"]
+    rms: float
+
+
+def cell_of(k: int) -> Cell:
+    """Each 18 drives in a row are all cells once."""
+    return Cell(MAKES[k % 3], PLANTS[k // 3 % 2], GROUNDS[(k + k // 6) % 3])
+
+
+Change = Callable[[int, Scenario], Scenario]
+
+
+def _steered(scenario: Scenario, **keys: Any) -> Scenario:
+    assert isinstance(scenario.steering, RowSteering) and scenario.steering.autosteer
+    return replace(
+        scenario, steering=replace(scenario.steering, autosteer=replace(scenario.steering.autosteer, **keys))
+    )
+
+
+def _sloping(k: int, scenario: Scenario) -> Scenario:
+    downhill = 90.0 if k % 2 == 0 else -90.0
+    return replace(scenario, ground=replace(scenario.ground, slope_deg=3.0, downhill_deg=downhill))
+
+
+ROWS: Final[dict[str, Change]] = {
+    "usual": lambda k, scenario: scenario,
+    "manual": lambda k, scenario: _steered(scenario, make="manual"),
+    "play": lambda k, scenario: replace(scenario, wheel=replace(scenario.wheel, dead_band_deg=0.15)),
+    "drift": lambda k, scenario: replace(scenario, wheel=replace(scenario.wheel, zero_drift_degps=0.3 / 600)),
+    "slope": _sloping,
+    "nothing_own": lambda k, scenario: _steered(scenario, own=0.0),
+    "dither": lambda k, scenario: _steered(scenario, own=0.0, dither_deg=0.3),
+}
+"""What differs from the usual row, of drive k."""
+
+
+class Fit(NamedTuple):
+    """What a method says of a row."""
+
+    mean: Array  # (6,), logarithms
+    sd: Array  # (6,)
+    own_share: float
+    refused: str | None  # why the method would not use it
+
+
+def fit(machine: Machine, record: Record) -> Fit:
+    """By the method that is judged, as it publishes it: without a number where it withholds one."""
+    state = rows.initial(machine)
+    found = rows.fit(machine, rows.Job(0, record.end_ns, [record], False, state.mean, state.covariance))
+    sd = np.sqrt(np.diag(found.covariance)[:6] + state.model_sd**2)
+    return Fit(found.mean[:6], sd, found.own_share, found.refused)
+
+
+# One drive.
+
+
+def scenario_for(row: str, number: int, minutes: float) -> tuple[FleetRig, Scenario]:
+    """The rig and the scenario of drive `number`."""
+    rig, cell = drawn(number), cell_of(number)
+    base = Scenario(
+        seconds=60.0 * minutes + BEGIN_S + SETTLING_S,
+        seed=number,
+        plant=cell.plant,
+        speed=rig.speed,
+        steering=RowSteering(position_sd=0.008, autosteer=Autosteer(cell.make)),
+        ground=ground_of(cell.plant, cell.rms, 0.0),
+        other_traffic=False,
+    )
+    return rig, ROWS[row](number, scenario_of(rig, base))
+
+
+def follow(row: str, first: int, minutes: float, k: int) -> Result:
+    """Drive number first + k: what is said of it, and what can be."""
+    number = first + k
+    rig, asked = scenario_for(row, number, minutes)
+    cell, began = cell_of(number), time.perf_counter()
+    result: Result = {
+        "row": f"{NAME} {row}", "seed": k, "first": first, "scale": minutes, "rig": number,
+        "speed": rig.speed, "make": cell.make, "plant": cell.plant, "rms": cell.rms,
+    }  # fmt: skip
+    machine, file = true_machine(rig), parse_machine(owners_text(rig))
+    try:
+        truth = drive(machine, number, asked.seconds, asked)
+    except CannotBeDriven as error:
+        return result | {"undriven": str(error)}
+    whole = (BEGIN_S, asked.seconds)
+    least = bound_of(machine, truth, whole, file)
+    own = own_of(machine, truth, whole)
+    run = Driven(file, truth, machine)
+    usable = longest([
+        segment for pose, segment in poses_and_segments(run) if run.seconds_of(pose.t_ns) >= BEGIN_S
+    ])  # fmt: skip
+    made_s = time.perf_counter() - began
+    said = fit(file, concatenate(usable))
+    return result | {
+        "error": (said.mean - run.logs).tolist(), "sd": said.sd.tolist(), "bound": least.sd.tolist(),
+        "step": least.step.tolist(), "said_share": said.own_share, "refused": said.refused,
+        "unexplained": least.unexplained, "wheel_deg": own.driven_deg, "own_deg": own.own_deg,
+        "share": own.share, "seconds": SEGMENT_S * len(usable) - SETTLING_S, "made_s": made_s,
+        "fit_s": time.perf_counter() - began - made_s,
+    }  # fmt: skip
+
+
+# The table.
+
+
+def row(name: str, first: int, bench: Bench) -> list[Line]:
+    """The lines of the table; drives that a file has are not made again."""
+    kept = spatial_rows.kept(bench, f"{NAME} {name}")
+    have = {seed: made for seed, made in kept.items() if made["first"] == first}
+    run = partial(follow, name, first, bench.scale)
+    return lines_of(bench.each(run, 12, have, partial(spatial_rows.keep, bench)))
+
+
+def lines_of(made: Sequence[Result]) -> list[Line]:
+    driven = [one for one in made if "error" in one and not one["refused"]]
+    withheld = [one for one in made if "error" in one and one["refused"]]
+    lines = [
+        Line("could not be driven", f"rigs {[one['rig'] for one in made if 'error' not in one]}"),
+        Line("withheld", f"rigs {[one['rig'] for one in withheld]}"),
+        *_drives(withheld),
+    ]
+    if not driven:
+        return lines
+    for name in ("all", *MAKES, *PLANTS):
+        chosen = [one for one in driven if name in ("all", one["make"], one["plant"])]
+        lines += _held(name, chosen)
+    return [*lines, *_each(driven), *_drives(driven)]
+
+
+def _array(made: Sequence[Result], key: str) -> Array:
+    return np.array([one[key] for one in made], np.float64).reshape(len(made), -1)
+
+
+def _held(name: str, made: Sequence[Result]) -> Iterator[Line]:
+    if not made:
+        return
+    z = _array(made, "error") / _array(made, "sd")
+    hits, mean = int(np.sum(np.abs(z) < Z)), float(np.mean(z))
+    share, (least, most, far) = hits / z.size, REACH[:3]
+    held = least <= share <= most and abs(mean) <= far if name == "all" else None
+    yield Line(
+        f"{name}: 95 % intervals that hold",
+        f"{hits} of {z.size}; z {mean:+.2f} ± {np.std(z):.2f}, largest {np.abs(z).max():.1f}",
+        "92 to 98 %; ± 0.25" if name == "all" else "", held, (share, mean),
+    )  # fmt: skip
+
+
+def _each(made: Sequence[Result]) -> Iterator[Line]:
+    error, sd, bound, step = (_array(made, key).T for key in ("error", "sd", "bound", "step"))
+    least, far, wide = REACH[3:]
+    for name, off, wide_by, allowed, one_step in zip(PARAMETERS, error, sd, bound, step, strict=True):
+        z, over = off / wide_by, wide_by / allowed
+        hits, mean, middle = int(np.sum(np.abs(z) < Z)), float(np.mean(z)), float(np.median(over))
+        faults = int(np.sum(over < FAULT))
+        sizes = percents([float(np.median(each)) for each in (np.abs(off), wide_by, allowed)], 0)
+        from_truth = float(np.sqrt(np.mean((one_step / allowed) ** 2)))
+        yield Line(
+            name,
+            f"{hits}/{len(z)} hold, z {mean:+.2f}; |error|, sd, bound: {sizes}; sd over bound {middle:.2f}, "
+            f"{faults} < {FAULT}; a step from the truth: {from_truth:.2f} of the bound",
+            "≥ 85 %; ± 0.4; ≤ 1.5; 0",
+            hits >= least * len(z) and abs(mean) <= far and middle <= wide and faults == 0,
+            (hits / len(z), mean, middle, from_truth),
+        )
+
+
+def _drives(made: Sequence[Result]) -> Iterator[Line]:
+    for one in made:
+        error, sd, bound = (100 * np.array(one[key]) for key in ("error", "sd", "bound"))
+        shown = "  ".join(f"{e:+.0f} ({s:.0f}, {b:.0f})" for e, s, b in zip(error, sd, bound, strict=True))
+        yield Line(
+            f"{one['rig']} {one['make']}, {one['plant']}, {100 * one['rms']:g} cm, {one['speed']:.1f} m/s",
+            f"{shown}; wheel {one['wheel_deg']:.2f}°, own {one['own_deg']:.2f}°; shares "
+            + figures([one[key] for key in ("share", "unexplained", "said_share")])
+            + (f"; withheld: {one['refused']}" if one["refused"] else ""),
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--row", choices=ROWS, default="usual")
+    parser.add_argument("--count", type=int, default=12, help="drives")
+    parser.add_argument("--first", type=int, default=0, help="number of the first rig and cell")
+    parser.add_argument("--minutes", type=float, default=2.0, help="of row that count, of each drive")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--keep", type=Path, default=Path("rows.jsonl"), help="file of what is done")
+    parser.add_argument("--summary", action="store_true", help="only read what is there")
+    args = parser.parse_args()
+    if (
+        args.count < 1
+        or args.first < 0
+        or args.processes < 1
+        or not math.isfinite(args.minutes)
+        or args.minutes <= 0
+    ):
+        parser.error("give a count, minutes and processes above zero, and no negative --first")
+    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
+    console = Console(width=None if Console().is_terminal else 230)
+    bench = Bench(args.count, kept=args.keep, scale=args.minutes)
+    began = time.perf_counter()
+    if args.summary:
+        made = spatial_rows.kept(bench, f"{NAME} {args.row}").values()
+        lines = lines_of([one for one in made if one["first"] == args.first])
+    else:
+        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+        with (
+            ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
+            Progress(*columns, console=console, transient=True) as progress,
+        ):
+            lines = row(args.row, args.first, replace(bench, pool=pool, progress=progress))
+    title = Row(f"{NAME} {args.row}", REACH_TEXT, partial(row, args.row, args.first))
+    console.print(table_of(title, lines, f"{time.perf_counter() - began:.0f} s; {REACH_TEXT}"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""A likelihood with a noise model of its own: innovations regressed on their past, whatever they are made of.
+
+Behind a nominal filter innovations e(theta), (n, c), are not white, since the ground is not as the filter
+has it: one rut meets the axles one after the other, and under feedback the steering answers it. They follow
+their own past,
+
+    e_k = A_1 e_k-1 + ... + A_m e_k-m + w_k,
+
+all outputs together (Ljung's direct method, with a high-order vector autoregression behind the filter). The
+slopes of the white rest w are psi_k = S_k - A_1 S_k-1 - ... with the same A. Information is the part of psi
+that the past cannot explain, so what the ground made the steering do counts for nothing.
+
+The coefficients of lag j have a prior of sd `spread` / j about zero: with it the order hardly matters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from tilth.estimator.tuning import tuned
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FreeNoiseTuning:
+    """Of the regression on the past."""
+
+    spread: float = tuned(0.3, "1", "prior sd of a coefficient of lag 1; over the lag of the others")
+
+
+FREE_NOISE: Final = FreeNoiseTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class FreeNoise:
+    """The regression of innovations on their past."""
+
+    order: int
+    past: Array  # (n, p), lag 1 first, each of c outputs
+    root: Array  # (p, p), lower, of the normal equations: past' past and the prior
+    coefficients: Array  # (p, c)
+    rest: Array  # (n, c), w
+    freedom: float  # n less the effective number of coefficients of an output
+    covariance: Array  # (c, c), of w
+
+    @property
+    def cost(self) -> float:
+        """Negative log-likelihood with the covariance of w maximised out, nats, up to a constant."""
+        sign, log = np.linalg.slogdet(self.covariance)
+        return 0.5 * self.freedom * float(log) if sign > 0 else np.inf
+
+    def share_of_own(self, values: Array) -> float:
+        """Of the variance of a value at each epoch, (n,), that the past does not explain: 1 less the adjusted
+        R^2."""
+        values = values - values.mean()
+        seen = solve_triangular(self.root, self.past.T @ values, lower=True, check_finite=False)
+        total = float(values @ values)
+        unexplained = (total - float(seen @ seen)) / self.freedom * len(values)
+        return min(unexplained / total, 1.0) if total > 0.0 else 0.0
+
+
+def lagged(stretches: Sequence[Array], order: int) -> Array:
+    """The past of each epoch but the first `order` of each stretch, (n, order c), lag 1 first.
+
+    stretches: (n_i, c) each, epochs without a gap.
+    """
+    return np.concatenate([
+        np.concatenate([e[order - j : len(e) - j] for j in range(1, order + 1)], axis=1) for e in stretches
+    ])  # fmt: skip
+
+
+def regress(stretches: Sequence[Array], order: int) -> FreeNoise:
+    """Regress innovations, (n_i, c) of each stretch, on their past. Each stretch is longer than `order`."""
+    past, outputs = lagged(stretches, order), stretches[0].shape[1]
+    now = np.concatenate([e[order:] for e in stretches])
+    prior = np.repeat((np.arange(1, order + 1) / FREE_NOISE.spread) ** 2, outputs)
+    gram = past.T @ past
+    root = np.asarray(np.linalg.cholesky(gram + np.diag(prior)), np.float64)
+    seen = solve_triangular(root, past.T @ now, lower=True, check_finite=False)
+    coefficients = np.asarray(solve_triangular(root, seen, lower=True, trans=1, check_finite=False))
+    rest = now - past @ coefficients
+    inverse = solve_triangular(root, np.eye(len(root)), lower=True, check_finite=False)
+    freedom = len(now) - len(root) + float(np.sum(inverse**2 * prior))
+    covariance = (rest.T @ rest + coefficients.T @ (prior[:, None] * coefficients)) / freedom
+    return FreeNoise(order, past, root, coefficients, rest, freedom, covariance)
+
+
+def gradient_and_information(noise: FreeNoise, stretches: Sequence[Array]) -> tuple[Array, Array]:
+    """(gradient (a,), information (a, a)) of the cost.
+
+    stretches: slopes of the innovations, (n_i, c, a) each.
+    """
+    order, outputs, unknowns = noise.order, stretches[0].shape[1], stretches[0].shape[2]
+    weight = np.linalg.cholesky(np.linalg.inv(noise.covariance))
+    # Of psi, weighted: rows of the past of one unknown after the other.
+    now = np.concatenate([S[order:] for S in stretches])
+    psi = np.empty((unknowns, len(now), outputs))
+    for j in range(unknowns):
+        past = lagged([S[:, :, j] for S in stretches], order)
+        psi[j] = (now[:, :, j] - past @ noise.coefficients) @ weight
+    gradient = np.tensordot(psi, noise.rest @ weight, axes=2)
+    flat = psi.reshape(unknowns, -1)
+    shared = noise.past.T @ psi.transpose(1, 0, 2).reshape(len(now), -1)
+    seen = solve_triangular(noise.root, shared, lower=True, check_finite=False)
+    explained = seen.reshape(len(seen), unknowns, outputs).transpose(1, 0, 2).reshape(unknowns, -1)
+    return gradient, flat @ flat.T - explained @ explained.T

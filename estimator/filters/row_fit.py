@@ -1,0 +1,350 @@
+"""A fit of straight rows: what the wheel angle does, apart from whatever the ground does.
+
+The filter at the prior's point whitens what the rows measured (row_filter.py). The response to the wheel
+angle is that of its model about straight driving (straight_driving.py), with all unknowns of the motion and
+of the sensors. What is left is regressed on its own past (free_noise.py). The unknowns minimise the cost of
+that and of the prior.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import likelihood
+from tilth.estimator.filters.free_noise import FreeNoise, gradient_and_information, regress
+from tilth.estimator.filters.newton import newton_step
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.row_filter import Gains, Whitened, respond, set_gains
+from tilth.estimator.filters.states import DT
+from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
+from tilth.estimator.record.record import (
+    EAST,
+    HEADING,
+    KIND,
+    NORTH,
+    OFFSET,
+    PLACE,
+    PSI,
+    TICK,
+    VALUE,
+    VELOCITY,
+    WHEEL_ANGLE,
+    YAW_RATE,
+    Record,
+    U,
+)
+from tilth.estimator.tuning import tuned
+
+Array = NDArray[np.float64]
+
+OUTPUTS: Final = (  # kind, places
+    (EAST, (0,)), (EAST, (1,)), (EAST, (2,)), (EAST, (3,)),
+    (VELOCITY, (0, 1)), (VELOCITY, (2, 3)), (YAW_RATE, (0,)), (YAW_RATE, (1,)),
+)  # fmt: skip
+"""In the row's frame, where north is along it: each antenna's position across, each body's velocities and
+yaw rates."""
+OF_BODIES: Final = ((0, 1, 4, 6), (2, 3, 5, 7))  # of OUTPUTS
+ZERO: Final = AT["wheel_zero"]
+
+
+@dataclass(frozen=True, slots=True)
+class RowFitTuning:
+    """Numerics of a fit of rows."""
+
+    epoch_s: float = tuned(0.2, "s", "for which what an output measured is one value")
+    past_lengths: float = tuned(1.2, "1", "that the past reaches back, over the way from front to last axle")
+    least_order: int = tuned(10, "epochs", "of the past")
+    most_order: int = tuned(25, "epochs", "of the past")
+    settling_s: float = tuned(10.0, "s", "at the start of a row, in which the filter only finds its state")
+    present: float = tuned(0.9, "1", "share of the epochs that an output must have, to be used")
+    zero_sd: float = tuned(math.radians(1.0), "rad", "of the wheel angle of a row that goes straight on")
+    least_telling: float = tuned(0.01, "1", "information over the prior's, of an unknown that rows can move")
+    most_steps: int = tuned(12, "steps", "of the search")
+    longest_step: float = tuned(0.7, "1", "of any of the six logarithms")
+    settled: float = tuned(0.1, "sd", "of the posterior of the six: a step this small ends the search")
+    flat_cost: float = tuned(0.1, "nat", "a step that lowers the cost by less ends the search, too")
+    renewed: float = tuned(0.3, "sd", "of the six, that a point moves until slopes are renewed")
+    beyond: float = tuned(0.8, "1", "a step whose parabola is lowest before this share went too far")
+    shares: tuple[float, ...] = tuned((1.0, 0.5, 0.25, 0.1, 0.03), "1", "of a step, tried one by one")
+
+
+ROW_FIT: Final = RowFitTuning()
+
+
+class RowPosterior(NamedTuple):
+    """Result of a fit of rows and a prior."""
+
+    mean: Array  # (n,), of unknowns.NAMES
+    covariance: Array  # (n, n)
+    steps: int
+    converged: bool
+    seconds: float  # of driving, settled
+    wheel_rms: float  # rad
+    own_share: float  # of the wheel angle's variance that the past of what was measured does not explain
+    cost: float  # per epoch
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row, whitened at the prior's point."""
+
+    whitened: Whitened
+    epochs: int
+    e: Array  # (n, c), innovations of the epochs
+    present: Array  # (c,), share of the epochs that have an output
+    wheel_angle: Array  # (n,), rad
+
+
+@dataclass(slots=True)
+class Point:
+    """Where a search is."""
+
+    unknowns: Array  # (n,)
+    zeros: Array  # (r,), of the wheel angle in each row, rad
+    noise: FreeNoise
+    cost: float
+    slopes: list[Array] = field(default_factory=list)
+
+
+def along_north(record: Record) -> Record:
+    """The record with its row along north and its first position as the origin."""
+    ticks, rows = record.ticks.copy(), record.rows.copy()
+    psi = float(np.median(ticks[:, PSI]))
+    ticks[:, PSI : PSI + 2] -= psi
+    rows[rows[:, KIND] == HEADING, VALUE] -= psi
+    north, east = (np.flatnonzero(rows[:, KIND] == kind) for kind in (NORTH, EAST))
+    order = [np.lexsort((rows[at, PLACE], rows[at, OFFSET], rows[at, TICK])) for at in (north, east)]
+    north, east = north[order[0]], east[order[1]]
+    across, along = (rows[at, VALUE] - rows[at[0], VALUE] for at in (east, north))
+    rows[north, VALUE] = np.cos(psi) * along + np.sin(psi) * across
+    rows[east, VALUE] = np.cos(psi) * across - np.sin(psi) * along
+    return Record(record.t_ns, ticks, rows)
+
+
+def across_row(record: Record) -> Array:
+    """Readings, (m,), of a record along north, with velocities to the east of the row."""
+    rows, n = record.rows, len(record.ticks)
+    readings, moving = rows[:, VALUE].copy(), np.flatnonzero(rows[:, KIND] == VELOCITY)
+    instants, ticks = rows[moving, TICK] + rows[moving, OFFSET] / DT, np.arange(n)
+    for body in (0, 1):
+        of_body = (rows[moving, PLACE] >= 2) == bool(body)
+        at = instants[of_body]
+        psi = np.interp(at, ticks, record.ticks[:, PSI + body])
+        readings[moving[of_body]] += np.interp(at, ticks, record.ticks[:, U]) * psi
+    return readings
+
+
+def _with_zero(point: Array, zero: float) -> Array:
+    """The point with another zero of the wheel angle."""
+    there = point.copy()
+    there[ZERO] = zero
+    return there
+
+
+def epochs_of(instants: Array) -> NDArray[np.int64]:
+    """Epoch of each instant, (m,), s; epochs begin in the widest gap between what is measured."""
+    length = ROW_FIT.epoch_s
+    within = np.sort(np.mod(instants, length))
+    gaps = np.diff(within, append=within[0] + length)
+    widest = int(np.argmax(gaps))
+    begin = within[widest] + gaps[widest] / 2.0
+    return np.asarray(np.floor((instants - begin) / length), np.int64)
+
+
+def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
+    """A row, whose record has no gap, through the filter at a point, (n,), of the unknowns."""
+    record = along_north(record)
+    rows, ticks = np.ascontiguousarray(record.rows), np.ascontiguousarray(record.ticks)
+    wheel, m, speeds = ticks[:, WHEEL_ANGLE], len(rows), tabulated(ticks)
+    used = (np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)).astype(np.float64)
+    gains = Gains(np.empty(m), np.empty(m), np.zeros((m, len(KEPT))), np.zeros((m, len(KEPT))), used)
+    model = filter_model(speeds, point, setup)
+    each = Whitened(ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]))
+    steered, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
+    respond(each, straight, _with_zero(point, 0.0), likelihood.NOTHING, steered)
+    left = across_row(record) - steered[:, 0]
+    set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, gains)
+    instants = rows[:, TICK] * DT + rows[:, OFFSET]
+    epoch = epochs_of(instants)
+    first, count = int(epoch.min()), int(np.ptp(epoch)) + 1
+    output = np.full(m, -1)
+    for k, (kind, places) in enumerate(OUTPUTS):
+        output[(rows[:, KIND] == kind) & np.isin(rows[:, PLACE], places)] = k
+    slots = np.where((output >= 0) & (used > 0.0), (epoch - first) * len(OUTPUTS) + output, -1)
+    chosen = slots >= 0
+    counts = np.bincount(slots[chosen], minlength=count * len(OUTPUTS))
+    scales = np.zeros(m)
+    scales[chosen] = 1.0 / np.sqrt(gains.S[chosen] * counts[slots[chosen]])
+    e = np.bincount(slots[chosen], scales[chosen] * gains.e[chosen], minlength=count * len(OUTPUTS))
+    middle = np.bincount(epoch - first, instants, minlength=count)
+    at = np.clip(np.round(middle / np.maximum(np.bincount(epoch - first), 1) / DT), 0, len(ticks) - 1)
+    whitened = each._replace(slots=slots.astype(np.int64), scales=scales)
+    present = np.mean(np.asarray(counts.reshape(count, -1) > 0, np.float64), axis=0)
+    outputs = np.asarray(e, np.float64).reshape(count, len(OUTPUTS))
+    return Row(whitened, count, outputs, present, wheel[at.astype(np.int64)])
+
+
+class RowFit:
+    """The problem of a fit: rows, a prior with its point."""
+
+    def __init__(self, records: Sequence[Record], setup: RigSetup, mean: Array, covariance: Array) -> None:
+        """records: each longer than `least_seconds`. mean: (n,), covariance: (n, n), the prior over
+        unknowns.NAMES."""
+        self.setup, self.mean, self.prior_covariance = setup, mean, covariance
+        self.rows = [row_of(record, setup, mean) for record in records]
+        self.order = _order(self.rows, setup)
+        present = np.mean([row.present for row in self.rows], axis=0)
+        self.outputs = np.flatnonzero(present > ROW_FIT.present)
+        self.first = [self._respond(k, mean, 0.0)[0] for k in range(len(self.rows))]
+        free = np.diag(covariance) > 0.0
+        motion = np.array([name not in NOISES and name != "wheel_zero" for name in NAMES])
+        self._choose(np.flatnonzero(free & motion))
+
+    def _choose(self, active: NDArray[np.int64]) -> None:
+        self.active = active
+        self.prior_information = np.zeros((len(active) + len(self.rows),) * 2)
+        within = self.prior_covariance[np.ix_(active, active)]
+        self.prior_information[: len(active), : len(active)] = likelihood.inverse(within)
+        self.prior_information[len(active) :, len(active) :] = np.eye(len(self.rows)) / ROW_FIT.zero_sd**2
+
+    @property
+    def measured(self) -> bool:
+        """Whether something of each body is."""
+        return all(np.isin(self.outputs, of_body).any() for of_body in OF_BODIES)
+
+    @property
+    def skip(self) -> int:
+        """Epochs at the start of a row that are not used but as the past of others."""
+        return round(ROW_FIT.settling_s / ROW_FIT.epoch_s) - self.order
+
+    def _respond(
+        self, k: int, point: Array, zero: float, places: NDArray[np.int64] = likelihood.NOTHING
+    ) -> tuple[Array, Array]:
+        """Of row k at a point, (n,): (the whitened response (n, c), its slopes (n, c, a) by those at
+        places)."""
+        row = self.rows[k]
+        model = straight_model(tabulated(row.whitened.ticks), point, self.setup, places)
+        out = np.empty((row.epochs * len(OUTPUTS), 1 + len(places)))
+        respond(row.whitened, model, _with_zero(point, zero), places, out)
+        shaped = out.reshape(row.epochs, len(OUTPUTS), -1)[self.skip :, self.outputs]
+        return shaped[:, :, 0], shaped[:, :, 1:]
+
+    def at(self, unknowns: Array, zeros: Array) -> Point | None:
+        """A point; None where the rig that it is of runs away."""
+        left = [
+            row.e[self.skip :, self.outputs] - self._respond(k, unknowns, zeros[k])[0] + self.first[k]
+            for k, row in enumerate(self.rows)
+        ]
+        if not all(np.all(np.isfinite(e)) and np.max(np.abs(e)) < 1e6 for e in left):
+            return None
+        off = self._deviation(unknowns, zeros)
+        noise = regress(left, self.order)
+        return Point(unknowns, zeros, noise, noise.cost + 0.5 * float(off @ self.prior_information @ off))
+
+    def _deviation(self, unknowns: Array, zeros: Array) -> Array:
+        return np.concatenate([(unknowns - self.mean)[self.active], zeros])
+
+    def slopes(self, at: Point) -> list[Array]:
+        """Of the innovations by the active unknowns and the zero of each row, (n_i, c, a + r)."""
+        places = np.append(self.active, ZERO)
+        made = []
+        for k in range(len(self.rows)):
+            _, slopes = self._respond(k, at.unknowns, at.zeros[k], places)
+            own = np.zeros((*slopes.shape[:2], len(self.active) + len(self.rows)))
+            own[:, :, : len(self.active)] = -slopes[:, :, :-1]
+            own[:, :, len(self.active) + k] = -slopes[:, :, -1]
+            made.append(own)
+        return made
+
+    def _terms(self, at: Point) -> tuple[Array, Array]:
+        gradient, told = gradient_and_information(at.noise, at.slopes)
+        off = self._deviation(at.unknowns, at.zeros)
+        return gradient + self.prior_information @ off, told + self.prior_information
+
+    def maximise(self) -> RowPosterior:
+        """The posterior: Gauss and Newton's steps, each as long as lowers the cost."""
+        start = self.at(self.mean, np.zeros(len(self.rows)))
+        if start is None:
+            raise ValueError("the response to the wheel angle runs away at the prior's mean")
+        start.slopes = self.slopes(start)
+        _, told = gradient_and_information(start.noise, start.slopes)
+        prior = np.diag(self.prior_covariance)[self.active]
+        telling = np.diag(told)[: len(self.active)] * prior > ROW_FIT.least_telling
+        start.slopes = [S[:, :, np.append(telling, np.ones(len(self.rows), np.bool_))] for S in start.slopes]
+        self._choose(self.active[telling])
+        return self._posterior(*self._search(start))
+
+    def _search(self, at: Point) -> tuple[Point, int, bool, Array]:
+        """(where it ends, steps, whether it settled, the information there with the prior)."""
+        six, moved = self.active < 6, 0.0
+        for step in range(1, ROW_FIT.most_steps + 1):
+            gradient, information = self._terms(at)
+            newton, sds = newton_step(gradient, information)
+            longest = float(np.max(np.abs(newton[: len(six)][six]), initial=0.0))
+            most = min(1.0, ROW_FIT.longest_step / max(longest, 1e-9))
+            then = self._descend(at, most * newton, most * float(gradient @ newton))
+            size = float(np.max((np.abs(newton) / sds)[: len(six)][six], initial=0.0))
+            if then is None and moved == 0.0:
+                return at, step, size < 3 * ROW_FIT.settled, information
+            if then is None:  # along slopes of another point
+                at.slopes, moved = self.slopes(at), 0.0
+                continue
+            before = self._deviation(at.unknowns, at.zeros)
+            change = np.abs(self._deviation(then.unknowns, then.zeros) - before) / sds
+            moved += float(np.max(change[: len(six)][six], initial=0.0))
+            if moved > ROW_FIT.renewed:
+                then.slopes, moved = self.slopes(then), 0.0
+            else:
+                then.slopes = at.slopes
+            flat, at = at.cost - then.cost < ROW_FIT.flat_cost, then
+            if size < ROW_FIT.settled or (flat and size < 5 * ROW_FIT.settled):
+                return at, step, True, self._terms(at)[1]
+        return at, ROW_FIT.most_steps, False, self._terms(at)[1]
+
+    def _descend(self, at: Point, change: Array, slope: float) -> Point | None:
+        """Of the shares of a step the first that lowers the cost, or the lowest point of the parabola through
+        it; None without any. slope: of the cost along the step, nats."""
+        for share in ROW_FIT.shares:
+            then = self._moved(at, share * change)
+            if then is None or then.cost >= at.cost:
+                continue
+            lowest = -slope * share**2 / (2.0 * max(then.cost - at.cost - slope * share, 1e-9))
+            between = self._moved(at, lowest * change) if lowest < ROW_FIT.beyond * share else None
+            return between if between is not None and between.cost < then.cost else then
+        return None
+
+    def _moved(self, at: Point, change: Array) -> Point | None:
+        unknowns = at.unknowns.copy()
+        unknowns[self.active] += change[: len(self.active)]
+        return self.at(unknowns, at.zeros + change[len(self.active) :])
+
+    def _posterior(self, at: Point, steps: int, converged: bool, information: Array) -> RowPosterior:
+        """What was not active follows what it was correlated with."""
+        active, prior = self.active, self.prior_covariance
+        found = likelihood.inverse(information)[: len(active), : len(active)]
+        within = prior[np.ix_(active, active)]
+        follows = np.linalg.solve(within, prior[active]).T  # (n, a)
+        covariance = prior + follows @ (found - within) @ follows.T
+        mean = self.mean + follows @ (at.unknowns - self.mean)[active]
+        settled = self.skip + self.order
+        wheel = np.concatenate(
+            [row.wheel_angle[settled:] - row.wheel_angle[settled:].mean() for row in self.rows]
+        )
+        return RowPosterior(
+            mean, (covariance + covariance.T) / 2.0, steps, converged, len(wheel) * ROW_FIT.epoch_s,
+            float(np.sqrt(np.mean(wheel**2))), at.noise.share_of_own(wheel),
+            at.cost / len(wheel),
+        )  # fmt: skip
+
+
+def _order(rows: Sequence[Row], setup: RigSetup) -> int:
+    """Epochs of the past: until the last axle has come to where the first one was."""
+    speed = float(np.mean(np.concatenate([row.whitened.ticks[:, U] for row in rows])))
+    a, _, c, d, e = setup.geometry[:5]
+    wanted = ROW_FIT.past_lengths * (a + c + d + e) / speed / ROW_FIT.epoch_s
+    return int(np.clip(math.ceil(wanted), ROW_FIT.least_order, ROW_FIT.most_order))

@@ -1,0 +1,240 @@
+"""The rig about straight driving, where all that it does is in proportion to the wheel angle.
+
+The motion model of rolling.py and the readings of the sensors, linearised about straight driving at a speed:
+matrices over a tick, exact, with their exact slopes by the unknowns, those of the exponential step too. They
+are tabulated at a few speeds, between which they are linear to a thousandth.
+
+Steering moves the state z, (13,): that of states.py before X_DISTURBANCE, and how far the tractor's CG is to
+the east of the row, which goes north. Behind it the filter has what the ground does and the receivers' slow
+errors: KEPT of its states, (25,), those that are across the row.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.compiled import kernel
+from tilth.estimator.filters.measurement_model import predict_measurement
+from tilth.estimator.filters.propagation import (
+    empty_plant,
+    first_covariance,
+    ground_at,
+    rate_jacobians,
+    rates_by_unknown,
+    set_bank,
+    set_plant,
+    set_processes,
+    state_rates,
+)
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.sensors.observation import Observation
+from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, set_wheel_noise
+from tilth.estimator.filters.states import (
+    ACROSS,
+    BANK_STATES,
+    DT,
+    N_STATES,
+    STATES,
+    X_DISTURBANCE,
+    X_POSITION,
+    X_PSI,
+    X_V,
+    Places,
+)
+from tilth.estimator.filters.transition import empty_transition
+from tilth.estimator.filters.unknowns import N_UNKNOWNS
+from tilth.estimator.models.rolling import rates_by_parameter
+from tilth.estimator.record.record import HEADING, ROLL_ANGLE, YAW_RATE, U
+
+Array = NDArray[np.float64]
+
+N_STRAIGHT: Final = X_DISTURBANCE + 1
+EAST_OF_ROW: Final = X_DISTURBANCE  # index of the last state
+PLACES: Final = 4  # of a kind of measurement, at most
+N_SENSORS: Final = (ROLL_ANGLE + 1) * PLACES  # by kind and place
+KEPT: Final = [k for k, name in enumerate(STATES) if "north" not in name and name != "speed"]
+STEERED: Final = [*range(X_DISTURBANCE), X_POSITION + 1]
+NOBODY: Final = np.zeros(0, np.int64)
+SMALL: Final = 1e-4  # rad, m/s: where slopes by unknowns are taken, in proportion to the state
+SPACING: Final = 0.4  # m/s, between tabulated speeds
+TERMS: Final = 10  # of the exponential's series
+
+
+class StraightRates(NamedTuple):
+    """At one speed."""
+
+    rates_x: Array  # (12, 22), as Transition.rates_x
+    A: Array  # (13, 14), rates by the state and the true wheel angle
+    A_unknowns: Array  # (a, 13, 14), their slopes
+    H: Array  # (24, 30), readings by the filter's state
+    H_unknowns: Array  # (a, 24, 13), slopes of those by the state
+    rest: Array  # (24,), readings of a rig that goes straight
+    offsets: Array  # (a, 24), their slopes
+
+
+class StraightModel(NamedTuple):
+    """At the tabulated speeds, (s,), in order."""
+
+    speeds: Array  # m/s
+    step: Array  # (s, 13, 14), the state one tick later by the state and the true wheel angle, held
+    step_unknowns: Array  # (s, 13, 14, a)
+    H: Array  # (s, 24, 13)
+    H_unknowns: Array  # (s, 24, 13, a)
+    rest: Array  # (s, 24)
+    offsets: Array  # (s, 24, a)
+
+
+class FilterModel(NamedTuple):
+    """The filter at the tabulated speeds, (s,), in order; of KEPT."""
+
+    speeds: Array  # m/s
+    F: Array  # (s, 25, 25), over a tick
+    Q: Array  # (s, 25, 25), covariance of its noise
+    H: Array  # (s, 24, 25)
+    start: Array  # (25, 25), covariance of the first state
+
+
+@kernel
+def straight_rates(u: float, unknowns: Array, setup: RigSetup, places: Places) -> StraightRates:
+    """At speed u, m/s, and a point of the unknowns, (n,), with slopes by those at places, (a,)."""
+    na = places.shape[0]
+    plant, step = empty_plant(setup, na), empty_transition(na, 0, 1)
+    set_plant(plant, unknowns, setup, places)
+    x, none = np.zeros(N_STATES), np.zeros(N_STATES)
+    rate_jacobians(x, DriveInputs(u, 0.0, 0.0, 0.0, 0.0), plant, step)
+    A, A_unknowns = np.zeros((N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((na, N_STRAIGHT, N_STRAIGHT + 1))
+    A[:X_DISTURBANCE, :X_DISTURBANCE], A[:X_DISTURBANCE, N_STRAIGHT] = (
+        step.rates_x[:, :X_DISTURBANCE],
+        step.rates_wheel,
+    )
+    A[EAST_OF_ROW, X_V], A[EAST_OF_ROW, X_PSI] = 1.0, u
+    H, H_unknowns = np.zeros((N_SENSORS, N_STATES)), np.zeros((na, N_SENSORS, N_STRAIGHT))
+    rest, offsets = np.zeros(N_SENSORS), np.zeros((na, N_SENSORS))
+    slopes = np.zeros(N_STATES + N_UNKNOWNS)
+    for i in range(N_STRAIGHT + 1):
+        x[:] = 0.0
+        if i < X_DISTURBANCE:
+            x[i] = SMALL
+        wheel = SMALL if i == N_STRAIGHT else 0.0
+        if na > 0 and i != EAST_OF_ROW:
+            state_rates(x, DriveInputs(u, 0.0, wheel, wheel, 0.0), plant, step.rates)
+            rates_by_parameter(plant.x, plant.w, plant.p, plant.motion)
+            step.rates_unknowns[:] = 0.0
+            rates_by_unknown(plant, step.rates_unknowns)
+            for j in range(na):
+                for k in range(X_DISTURBANCE):
+                    A_unknowns[j, k, i] = step.rates_unknowns[k, j] / SMALL
+    for code in range(N_SENSORS):
+        kind, place = code // PLACES, code % PLACES
+        if kind in (YAW_RATE, HEADING) and place > 1:  # of bodies
+            continue
+        obs = Observation(kind, place, 0.0, u, 0.0, 0.0)
+        rest[code] = predict_measurement(none, obs, unknowns, setup, slopes)
+        H[code] = slopes[:N_STATES]
+        for j in range(na):
+            offsets[j, code] = slopes[N_STATES + places[j]]
+        for i in range(X_DISTURBANCE if na > 0 else 0):
+            x[:] = 0.0
+            x[i] = SMALL
+            predict_measurement(x, obs, unknowns, setup, slopes)
+            for j in range(na):
+                H_unknowns[j, code, i] = (slopes[N_STATES + places[j]] - offsets[j, code]) / SMALL
+    return StraightRates(step.rates_x, A, A_unknowns, H, H_unknowns, rest, offsets)
+
+
+class Processes(NamedTuple):
+    """What the filter's states from X_DISTURBANCE on do over a tick at one speed, and the noise of all."""
+
+    decay: Array  # (30,)
+    bank: Array  # (4, 4), of BANK_STATES
+    q: Array  # (30,), variances, without that of the position
+    bank_noise: Array  # (4, 4)
+
+
+@kernel
+def processes_at(u: float, unknowns: Array, setup: RigSetup) -> Processes:
+    """At speed u, m/s, and a point of the unknowns, (n,)."""
+    step = empty_transition(0, 0, 1)
+    set_bank(u, setup, step)
+    set_processes(u, ground_at(unknowns), setup, step, 0)
+    set_wheel_noise(u, unknowns, setup.sds, step)
+    return Processes(step.decay[0].copy(), step.bank.copy(), step.q[0].copy(), step.bank_noise.copy())
+
+
+@kernel
+def variances_at_first(u: float, unknowns: Array, setup: RigSetup) -> Array:
+    """Covariance of the filter's first state at speed u, m/s, (30, 30)."""
+    return first_covariance(u, ground_at(unknowns), setup)
+
+
+def tabulated(ticks: Array) -> Array:
+    """Speeds, (s,), m/s, that go with the ticks of records, (n, 8) as record.Record; two or more."""
+    low, high = float(ticks[:, U].min()), float(ticks[:, U].max())
+    return np.linspace(low, max(high, low + SPACING / 2), 2 + int((high - low) / SPACING))
+
+
+def straight_model(speeds: Array, unknowns: Array, setup: RigSetup, places: Places) -> StraightModel:
+    """The model at speeds, (s,), m/s, and a point of the unknowns, (n,), with slopes by those at places."""
+    made = [straight_rates(float(u), unknowns, setup, places) for u in speeds]
+    steps, slopes = zip(*(_over_a_tick(rates.A, rates.A_unknowns) for rates in made), strict=True)
+    return StraightModel(
+        speeds, np.stack(steps), np.ascontiguousarray(np.moveaxis(np.stack(slopes), 1, -1)),
+        np.ascontiguousarray(np.stack([rates.H[:, STEERED] for rates in made])),
+        np.ascontiguousarray(np.moveaxis(np.stack([rates.H_unknowns for rates in made]), 1, -1)),
+        np.stack([rates.rest for rates in made]),
+        np.ascontiguousarray(np.moveaxis(np.stack([rates.offsets for rates in made]), 1, -1)),
+    )  # fmt: skip
+
+
+def filter_model(speeds: Array, unknowns: Array, setup: RigSetup) -> FilterModel:
+    """The filter at speeds, (s,), m/s, and a point of the unknowns, (n,)."""
+    steps, noises, sensors = [], [], []
+    for u in map(float, speeds):
+        rates, processes = straight_rates(u, unknowns, setup, NOBODY), processes_at(u, unknowns, setup)
+        steps.append(_filter_step(u, rates.rates_x, processes)[np.ix_(KEPT, KEPT)])
+        noise = np.diag(processes.q)
+        noise[np.ix_(BANK_STATES, BANK_STATES)] += processes.bank_noise
+        noise[X_POSITION + 1, X_POSITION + 1] += ACROSS**2 * DT
+        noises.append(noise[np.ix_(KEPT, KEPT)])
+        sensors.append(rates.H[:, KEPT])
+    start = variances_at_first(float(speeds.mean()), unknowns, setup)[np.ix_(KEPT, KEPT)]
+    F, Q, H = (np.ascontiguousarray(np.stack(each)) for each in (steps, noises, sensors))
+    return FilterModel(speeds, F, Q, H, np.ascontiguousarray(start))
+
+
+def _filter_step(u: float, rates_x: Array, processes: Processes) -> Array:
+    """Jacobian of the filter's state over a tick, (30, 30), at speed u, m/s. rates_x: (12, 22)."""
+    F = np.diag(processes.decay)
+    F[:X_DISTURBANCE, :X_DISTURBANCE] = F[X_POSITION + 1, X_POSITION + 1] = 0.0
+    F[np.ix_(BANK_STATES, BANK_STATES)] = processes.bank
+    A, power, held = DT * rates_x[:, :X_DISTURBANCE], np.eye(X_DISTURBANCE), np.zeros((X_DISTURBANCE,) * 2)
+    for order in range(1, TERMS + 1):
+        held += DT * power / order
+        power = power @ A / order
+    change = held @ rates_x
+    F[:X_DISTURBANCE, : rates_x.shape[1]] = change
+    F[:X_DISTURBANCE, :X_DISTURBANCE] += np.eye(X_DISTURBANCE)
+    east = 0.5 * DT * (change[X_V] + u * change[X_PSI])
+    east[X_V] += DT
+    east[X_PSI] += DT * u
+    F[X_POSITION + 1, : len(east)] = east
+    F[X_POSITION + 1, X_POSITION + 1] = 1.0
+    return F
+
+
+def _over_a_tick(A: Array, A_unknowns: Array) -> tuple[Array, Array]:
+    """(the state after a tick by that before and by the wheel angle (13, 14), its slopes (a, 13, 14)): the
+    exponential of the rates, and its derivative along theirs."""
+    size, acting = len(A) + 1, np.flatnonzero(np.any(A_unknowns != 0.0, axis=(1, 2)))
+    M, dM = np.zeros((size, size)), np.zeros((len(acting), size, size))
+    M[:-1], dM[:, :-1] = DT * A, DT * A_unknowns[acting]
+    power, found = np.eye(size), np.eye(size)
+    slope, total = np.zeros_like(dM), np.zeros_like(dM)
+    for order in range(1, TERMS + 1):
+        slope = (slope @ M + power @ dM) / order
+        power = power @ M / order
+        found, total = found + power, total + slope
+    slopes = np.zeros_like(A_unknowns)
+    slopes[acting] = total[:, :-1]
+    return found[:-1], slopes

@@ -1,0 +1,118 @@
+"""Rows of straight driving, collected segment by segment, for a fit of several of them together.
+
+A row is driving without a gap in which wheels, headings and articulation stay near those of straight driving.
+Rows are collected into a block. A block is fitted when it is long enough for a first number, again when it is
+longer, and for the last time when it is full; then the next one begins. So a second of driving is in one
+block only.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from tilth.estimator.record.record import PSI, TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
+from tilth.estimator.tuning import tuned
+from tilth.schemas.reasons import Code
+
+
+@dataclass(frozen=True, slots=True)
+class RowTuning:
+    """What is a straight row, and when rows are fitted."""
+
+    straight: float = tuned(math.radians(4.0), "rad", "largest wheel angle in a row")
+    """Steering corrections are less than 2 degrees; at 4 the response is in proportion to 1 %."""
+    aside: float = tuned(math.radians(6.0), "rad", "by which headings may leave that at a row's beginning")
+    folded: float = tuned(math.radians(5.0), "rad", "largest articulation in a row")
+    shortest_s: float = tuned(40.0, "s", "of a row; in the first 10 the filter finds its state")
+    fitted_at_s: tuple[float, ...] = tuned((120.0, 300.0, 600.0), "s", "of rows in a block; the last ends it")
+
+
+ROWS: Final = RowTuning()
+
+_SEGMENT_S: Final = 0.2
+SHORTEST: Final = round(ROWS.shortest_s / _SEGMENT_S)
+
+
+@dataclass(slots=True)
+class Block:
+    """Rows of which each second is used in one block only."""
+
+    row: list[Segment] = field(default_factory=list)  # the present one
+    heading: float = 0.0  # rad, at its beginning
+    complete: list[Record] = field(default_factory=list)
+    fitted_s: float = 0.0  # so much of it has been fitted
+    refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments
+    reason: Code | None = None  # why nothing is collected now
+
+
+def seconds(block: Block) -> float:
+    """Of rows in a block, each long enough."""
+    ticks = sum(len(record.ticks) for record in block.complete)
+    present = len(block.row) * _SEGMENT_S if len(block.row) >= SHORTEST else 0.0
+    return ticks * TICK_NS * 1e-9 + present
+
+
+def observe(block: Block, segment: Segment | None, zero: float) -> None:
+    """Take the next segment. zero: reading of the wheel angle when straight, rad."""
+    if segment is None:
+        return
+    block.reason = segment.reason
+    if segment.reason is None and not _is_straight(segment, zero):
+        block.reason = Code.NOT_STRAIGHT
+    if block.reason is not None:
+        _count(block, block.reason)
+    if block.reason is not None or not segment.follows:
+        end_row(block)
+    if block.reason is not None:
+        return
+    heading = float(segment.record.ticks[0, PSI])
+    if block.row and abs(heading - block.heading) > ROWS.aside:
+        end_row(block)
+    if not block.row:
+        block.heading = heading
+    block.row.append(segment)
+
+
+def end_row(block: Block) -> None:
+    """The present row ends here."""
+    if len(block.row) >= SHORTEST:
+        block.complete.append(concatenate(block.row))
+    elif block.row:
+        _count(block, Code.TOO_SHORT)
+    block.row = []
+
+
+def is_due(block: Block) -> bool:
+    """Whether a fit of it is due."""
+    now = seconds(block)
+    return any(block.fitted_s < limit <= now for limit in ROWS.fitted_at_s)
+
+
+def rows_to_fit(block: Block) -> tuple[list[Record], bool]:
+    """(the rows of a block so far, whether it is full). A full one is begun anew."""
+    records = list(block.complete)
+    if len(block.row) >= SHORTEST:
+        records.append(concatenate(block.row))
+    block.fitted_s = seconds(block)
+    full = block.fitted_s >= ROWS.fitted_at_s[-1]
+    if full:
+        forget(block)
+    return records, full
+
+
+def forget(block: Block) -> None:
+    """Begin a block anew."""
+    block.row, block.complete, block.fitted_s = [], [], 0.0
+
+
+def _count(block: Block, reason: Code) -> None:
+    block.refused[reason] = block.refused.get(reason, 0) + 1
+
+
+def _is_straight(segment: Segment, zero: float) -> bool:
+    ticks = segment.record.ticks
+    turned = np.max(np.abs(ticks[:, WHEEL_ANGLE] - zero))
+    folded = np.max(np.abs(ticks[:, PSI] - ticks[:, PSI + 1]))
+    return bool(turned <= ROWS.straight and folded <= ROWS.folded)

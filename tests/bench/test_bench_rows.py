@@ -1,0 +1,75 @@
+"""Rows on the virtual fleet: the design, the table, a drive of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rows
+from estimation_table import Bench
+
+from tilth.simulator.scenario import RowSteering
+
+
+def test_eighteen_drives_are_all_cells_once() -> None:
+    assert len({rows.cell_of(5 + k) for k in range(18)}) == 18
+    for of in range(3):
+        values = [rows.cell_of(k)[of] for k in range(12)]
+        counts = [values.count(value) for value in set(values)]
+        assert max(counts) - min(counts) <= 2
+
+
+@pytest.mark.parametrize("row", rows.ROWS)
+def test_a_row_differs_from_the_usual_one_in_what_it_is_about(row: str) -> None:
+    rig, usual = rows.scenario_for("usual", 4, 2.0)
+    same, other = rows.scenario_for(row, 4, 2.0)
+    assert same == rig and (other == usual) is (row == "usual")
+    assert isinstance(other.steering, RowSteering) and isinstance(usual.steering, RowSteering)
+    given = replace(other, steering=usual.steering, ground=usual.ground, wheel=usual.wheel)  # nothing else
+    assert given == usual
+
+
+def _made(z: float, over: float, count: int = 200) -> list[dict[str, Any]]:
+    """Drives whose numbers are off by z sds, times a normal number, with sds `over` times the bound."""
+    rng, made = np.random.default_rng(1), []
+    for k in range(count):
+        cell, sd = rows.cell_of(k), 0.1 * over
+        made.append({
+            "row": "rows usual", "seed": k, "first": 0, "scale": 2.0, "rig": k, "speed": 4.0,
+            **cell._asdict(),
+            "error": (z * sd * rng.standard_normal(6)).tolist(), "sd": [sd] * 6, "bound": [0.1] * 6,
+            "step": (0.1 * rng.standard_normal(6)).tolist(), "said_share": 0.9, "refused": None,
+            "unexplained": 0.9, "wheel_deg": 0.5, "own_deg": 0.45, "share": 0.81,
+        })  # fmt: skip
+    return json.loads(json.dumps(made))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(
+    ("z", "over", "held"), [(1.0, 1.2, True), (1.8, 1.2, False), (1.0, 1.7, False), (1.0, 0.8, False)]
+)
+def test_the_table_tells_right_numbers_from_wrong_ones(z: float, over: float, held: bool) -> None:
+    """Too far off for their sds; sds wider than need be; sds below what any drive can tell."""
+    lines = {line.figure: line for line in rows.lines_of(_made(z, over))}
+    assert lines["C_ar"].held is held
+    assert lines["all: 95 % intervals that hold"].held is (z == 1.0)
+    assert "0.45°" in lines["1 valve, planar, 1 cm, 4.0 m/s"].reached
+
+
+def test_a_drive_that_could_not_be_driven_is_named() -> None:
+    made = [{"rig": 3, "undriven": "it turns over"}]
+    (line,) = rows.lines_of(made)
+    assert line.reached == "rigs [3]"
+
+
+def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(runs=1, scale=0.3, kept=tmp_path / "kept.jsonl")
+    said = rows.Fit(np.zeros(6), np.ones(6), 0.5, True)
+    monkeypatch.setattr(rows, "fit", lambda machine, record: said)  # a fit is minutes of this test's time
+    lines = rows.row("usual", 0, bench)
+    made = json.loads((tmp_path / "kept.jsonl").read_text())
+    assert min(made["bound"]) > 0.0 and max(made["bound"]) < 0.75
+    assert 0.2 < made["own_deg"] < 1.2 and made["seconds"] == pytest.approx(18.0, abs=1.0)
+    monkeypatch.setattr(rows, "drive", None)  # not driven again
+    assert [line.reached for line in rows.row("usual", 0, bench)] == [line.reached for line in lines]

@@ -1,0 +1,116 @@
+"""A fit of straight rows: its slopes, its epochs, and what it finds on ground that no filter assumes."""
+
+import numpy as np
+import pytest
+from circle import demo_machine
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from straight_row import raw_response, weaving
+
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.row_fit import OUTPUTS, RowFit, across_row, along_north, epochs_of
+from tilth.estimator.filters.unknowns import AT
+from tilth.estimator.record.record import EAST, KIND, NORTH, PSI, SD, VALUE, VELOCITY, YAW_RATE, Record
+
+Array = NDArray[np.float64]
+
+MACHINE = demo_machine()
+MEAN, SD_PRIOR = unknowns.prior(MACHINE)
+SETUP = rig_setup(MACHINE)
+COVARIANCE = np.diag(SD_PRIOR**2)
+
+
+def rut(record: Record, rng: np.random.Generator) -> Array:
+    """One disturbance that meets the outputs one after the other: no filter's model."""
+    profile = np.convolve(rng.standard_normal(len(record.ticks) + 400), np.hanning(60), "same")
+    at, kinds = record.rows[:, 0].astype(int), record.rows[:, KIND]
+    later = 60.0 * (record.rows[:, 3] >= 2) + 20.0 * (kinds == YAW_RATE)
+    sizes = np.choose(kinds.astype(int), (0.002, 0.012, 0.0, 0.004, 0.0, 0.001))
+    return sizes * profile[(at + 200 - later).astype(int)] / profile.std()
+
+
+def driven(seconds: float, seed: int, point: Array) -> Record:
+    """A row of a rig at a point of the unknowns, on such ground, with white sensors."""
+    record, rng = weaving(seconds, seed=seed), np.random.default_rng(1000 + seed)
+    rows = record.rows.copy()
+    rows[:, VALUE] = raw_response(record, point, SETUP)[:, 0]
+    rows[:, VALUE] += rut(record, rng) + rows[:, SD] * rng.standard_normal(len(rows))
+    return Record(0, record.ticks, rows)
+
+
+def other_tyres(seed: int) -> Array:
+    point = MEAN.copy()
+    point[:6] += 0.3 * np.random.default_rng(seed).standard_normal(6)
+    return point
+
+
+def test_a_row_is_turned_along_north() -> None:
+    straight = driven(20.0, 0, MEAN)
+    turned, angle = Record(0, straight.ticks.copy(), straight.rows.copy()), 0.7
+    turned.ticks[:, PSI : PSI + 2] += angle
+    north, east = (np.flatnonzero(turned.rows[:, KIND] == kind) for kind in (NORTH, EAST))
+    x, y = (turned.rows[at, VALUE].copy() for at in (north, east))
+    turned.rows[north, VALUE] = np.cos(angle) * x - np.sin(angle) * y + 500.0
+    turned.rows[east, VALUE] = np.sin(angle) * x + np.cos(angle) * y - 300.0
+    again, before = along_north(turned).rows, along_north(straight).rows
+    np.testing.assert_allclose(again[:, VALUE], before[:, VALUE], atol=1e-9)
+
+
+def test_velocities_are_across_the_row() -> None:
+    record = weaving(4.0)
+    record.ticks[:, PSI], record.ticks[:, PSI + 1] = 0.02, -0.01
+    readings, moving = across_row(record), record.rows[:, KIND] == VELOCITY
+    of_tractor = record.rows[:, 3] < 2
+    np.testing.assert_allclose(readings[moving & of_tractor], 4.2 * 0.02)
+    np.testing.assert_allclose(readings[moving & ~of_tractor], 4.2 * -0.01)
+    assert not readings[~moving].any()
+
+
+@given(st.floats(0.0, 0.2), st.floats(0.0, 0.04), st.integers(0, 1000))
+def test_what_is_measured_together_is_of_one_epoch(phase: float, jitter: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    instants = np.arange(50)[:, None] * 0.2 + phase + jitter * rng.random((50, 4))
+    epochs = epochs_of(instants.ravel()).reshape(50, 4)
+    assert np.all(epochs == epochs[:, :1]) and np.all(np.diff(epochs[:, 0]) == 1)
+
+
+@pytest.mark.parametrize("name", ["C_af", "C_ai", "sigma_r", "wheel_gain", "roll_k_t", "d", "lever_t"])
+def test_slopes_are_those_of_differences(name: str) -> None:
+    fit, step = RowFit([driven(30.0, 1, MEAN)], SETUP, MEAN, COVARIANCE), 1e-4 * np.eye(len(MEAN))[AT[name]]
+    column, none = int(np.flatnonzero(fit.active == AT[name])[0]), np.zeros(1)
+    here, ahead, behind = (fit.at(MEAN + way * step, none) for way in (0.0, 1.0, -1.0))
+    assert here is not None and ahead is not None and behind is not None
+    slopes = fit.slopes(here)[0][fit.order :, :, column]
+
+    def left(point: object) -> Array:
+        noise = point.noise  # type: ignore[attr-defined]
+        return np.asarray(noise.rest + noise.past @ noise.coefficients)
+
+    differences = (left(ahead) - left(behind)) / 2e-4
+    np.testing.assert_allclose(slopes, differences, atol=3e-3 * np.abs(differences).max())
+
+
+def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
+    """Of tyres that are far from the prior's; two rows together."""
+    ratios = []
+    for seed in range(3):
+        true = other_tyres(seed)
+        rows = [driven(70.0, 10 * seed + k, true) for k in range(2)]
+        found = RowFit(rows, SETUP, MEAN, COVARIANCE).maximise()
+        assert found.converged and found.own_share > 0.9
+        sds = np.sqrt(np.diag(found.covariance))[:6]
+        assert np.all(sds[:2] < 0.35) and np.all(np.isfinite(found.covariance))
+        assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
+        ratios.append((found.mean - true)[:6] / sds)
+    assert np.sum(np.abs(ratios) < 2.0) >= 16 and np.abs(ratios).max() < 3.5
+
+
+def test_without_receivers_on_a_body_it_says_so() -> None:
+    record = driven(30.0, 0, MEAN)
+    body = record.rows[
+        (record.rows[:, 3] < 2) & ~((record.rows[:, KIND] == YAW_RATE) & (record.rows[:, 3] == 1))
+    ]
+    fit = RowFit([Record(0, record.ticks, body)], SETUP, MEAN, COVARIANCE)
+    assert not fit.measured and len(fit.outputs) < len(OUTPUTS)

@@ -1,0 +1,152 @@
+"""Straight rows as a method: blocks, adoption, what is withheld, and what the given rows tell."""
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from circle import demo_machine
+from logs import DATA
+
+from tilth.analysis.runs.driving import driving
+from tilth.analysis.runs.run import open_runs
+from tilth.estimator.methods import rows
+from tilth.estimator.methods.rows import Fit, Job, RowsState
+from tilth.estimator.record.record import Record, Segment, concatenate
+from tilth.estimator.state_json import from_json_data, to_json_data
+from tilth.logger.machine_file import read_machine
+from tilth.schemas.channels import CHANNELS
+from tilth.schemas.flow import PARAMETERS, BodyPose, Pose, Status
+from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.reasons import Code
+
+MACHINE = demo_machine()
+S = 1_000_000_000
+START = 5 * S
+
+
+def pose_at(t_ns: int) -> Pose:
+    body = BodyPose(0.0, 0.0, 0.02, 0.0, 0.005, 4.0, 0.0, 0.03, 0.04, 0.0, 0.003, 0.0, 0.004)
+    return Pose(t_ns, 43.5, -83.4, body, body, 0.0, 0.007, 0.0, 0.002, 1, None, 0.0, 4, ())
+
+
+def drive(state: RowsState, seconds: float, t_ns: int = START) -> int:
+    """Straight on; the instant after it."""
+    for _ in range(round(seconds / 0.2)):
+        ticks = np.zeros((10, 8))
+        ticks[:, 1] = 4.0
+        segment = Segment(Record(t_ns, ticks, np.zeros((0, 6))), t_ns > START, None)
+        t_ns = segment.record.end_ns
+        rows.take(state, MACHINE, pose_at(t_ns), segment)
+    return t_ns
+
+
+def result(state: RowsState, job: Job, **changed: Any) -> Fit:
+    covariance = 0.01 * job.covariance
+    made = Fit(job.mean + 0.1, covariance, 0.9, math.radians(0.5), 110.0, 5, -6.0, False, None)
+    return replace(made, **changed)
+
+
+def test_a_first_number_after_two_minutes_and_a_better_one_of_the_whole_block() -> None:
+    state = rows.initial(MACHINE)
+    nothing = rows.estimate(state, MACHINE, START)
+    assert {p.reason.code for p in nothing.parameters if p.reason} == {Code.NO_ROWS_YET}
+    t_ns = drive(state, 119.0)
+    assert rows.request_fit(state, t_ns) is None
+    t_ns = drive(state, 1.4, t_ns)
+    job = rows.request_fit(state, t_ns)
+    assert job is not None and not job.full and rows.request_fit(state, t_ns) is None
+    first = rows.adopt(state, MACHINE, result(state, job), t_ns)
+    assert all(p.status is Status.ESTIMATED for p in first.parameters) and first.own_steering is not None
+    t_ns = drive(state, 180.0, t_ns)
+    again = rows.request_fit(state, t_ns)
+    assert again is not None and np.array_equal(
+        again.mean, job.mean
+    )  # from before the block, not from its number
+    rows.adopt(state, MACHINE, result(state, again), t_ns)
+    t_ns = drive(state, 300.0, t_ns)
+    last = rows.request_fit(state, t_ns)
+    assert last is not None and last.full and np.array_equal(last.mean, job.mean)
+    rows.adopt(state, MACHINE, result(state, last), t_ns)
+    t_ns = drive(state, 121.0, t_ns)
+    following = rows.request_fit(state, t_ns)
+    assert following is not None and np.array_equal(following.mean, state.mean)
+    assert following.rows[0].t_ns >= last.closed_ns
+
+
+@pytest.mark.parametrize("lost", ["dropped", "refused"])
+def test_what_a_full_block_told_earlier_stays_if_its_last_fit_is_lost(lost: str) -> None:
+    state = rows.initial(MACHINE)
+    t_ns = drive(state, 121.0)
+    job = rows.request_fit(state, t_ns)
+    assert job is not None
+    rows.adopt(state, MACHINE, result(state, job), t_ns)
+    mean = state.mean.copy()
+    while not (job is not None and job.full):
+        t_ns = drive(state, 1.0, t_ns)
+        job = rows.request_fit(state, t_ns)
+        if job is not None:
+            made = (
+                None if lost == "dropped" else result(state, job, refused=Code.NOT_CONVERGED, mean=job.mean)
+            )
+            rows.adopt(state, MACHINE, made, t_ns)
+    assert np.array_equal(state.mean, mean) and np.array_equal(state.before_mean, mean)
+    assert state.job is None and len(state.events) == 2
+
+
+def test_steering_that_only_answers_the_ground_is_withheld_and_said() -> None:
+    state = rows.initial(MACHINE)
+    t_ns = drive(state, 121.0)
+    job = rows.request_fit(state, t_ns)
+    assert job is not None
+    made = result(state, job, refused=Code.LITTLE_OWN_STEERING, own_share=0.2, own_rms=math.radians(0.1))
+    found = rows.adopt(state, MACHINE, made, t_ns)
+    assert all(p.value is None for p in found.parameters) and not state.fits
+    drive(state, 2.0, t_ns)
+    found = rows.estimate(state, MACHINE, t_ns)
+    (why,) = {p.reason for p in found.parameters}
+    assert why is not None and why.because[0].code is Code.LITTLE_OWN_STEERING
+    (channel,) = (c for c in CHANNELS if c.topic == "/soil_tire/rows")
+    message = pb.SoilTireEstimate.FromString(channel.encode(found))
+    assert message.own_steering.share == pytest.approx(0.2) and message.own_steering.seconds == 110.0
+    assert "dither" in message.parameters[0].reason
+
+
+def test_a_stored_state_goes_on_alike() -> None:
+    state = rows.initial(MACHINE)
+    t_ns = drive(state, 130.0)
+    again = from_json_data(RowsState, json.loads(json.dumps(to_json_data(state))))
+    for one in (state, again):
+        drive(one, 5.0, t_ns)
+    jobs = [rows.request_fit(one, t_ns) for one in (state, again)]
+    assert to_json_data(jobs[0]) == to_json_data(jobs[1]) and jobs[0] is not None
+
+
+def test_after_the_clock_stepped_back_only_what_was_learned_stays() -> None:
+    state = rows.initial(MACHINE)
+    t_ns = drive(state, 121.0)
+    job = rows.request_fit(state, t_ns)
+    assert job is not None
+    rows.adopt(state, MACHINE, result(state, job), t_ns)
+    informed = state.informed_ns
+    rows.clock_stepped(state, -S)
+    assert not state.block.row and state.informed_ns == informed - S
+    assert np.array_equal(state.before_mean, state.mean)
+
+
+@pytest.mark.skipif(not (DATA / "rows").exists(), reason="needs the recorded rows beside the repository")
+def test_two_minutes_of_given_rows_tell_the_six() -> None:
+    stem = DATA / "rows" / "rowsw0"
+    truth = json.loads(stem.with_suffix(".truth.json").read_text(encoding="utf-8"))
+    (run,) = open_runs(stem.with_suffix(".log.gz"), machine=read_machine(f"{stem}.toml"))
+    machine = run.machine
+    segments = [d.segment for d in driving(run) if d.segment is not None and d.segment.reason is None]
+    record = concatenate(segments[200:800])
+    state = rows.initial(machine)
+    found = rows.fit(machine, Job(0, record.end_ns, [record], False, state.mean, state.covariance))
+    sds = np.sqrt(np.diag(found.covariance))[:6]
+    off = found.mean[:6] - np.log([truth[name] for name in PARAMETERS])
+    assert found.refused is None and found.own_share > 0.9
+    assert np.all(np.abs(off) < 2.5 * sds) and np.all(sds < 0.3)

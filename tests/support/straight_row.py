@@ -1,0 +1,60 @@
+"""Records of a straight row, without noise or with what a linear rig makes of steering and ground."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters.likelihood import NOTHING
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.row_filter import Gains, Whitened, respond
+from tilth.estimator.filters.states import DT, Places
+from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
+from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE, Record
+
+Array = NDArray[np.float64]
+
+RESPONDING: Final = (
+    "C_af", "C_ar", "C_ai", "sigma_f", "sigma_r", "sigma_i", "wheel_zero", "wheel_gain", "latency", "pair_t",
+    "lever_t", "lever_i", "cg_t", "cg_i", "rolling", "roll_k_t", "roll_j_i", "roll_cg_t", "rate_late_t",
+    "a", "b", "c", "d", "e", "m_t", "I_t", "I_i",
+)  # fmt: skip
+"""Unknowns of all kinds."""
+
+
+def weaving(seconds: float, speeds: tuple[float, float] = (4.2, 4.2), seed: int = 0) -> Record:
+    """Steering of half a degree that nobody follows, at a speed that goes from one to the other; the readings
+    are zero, of four receivers at 5 Hz that are a few ms apart."""
+    n, rng = round(seconds / DT), np.random.default_rng(seed)
+    ticks = np.zeros((n, 8))
+    push, angle = rng.standard_normal(n), np.zeros(n)
+    for k in range(1, n):
+        angle[k] = 0.97 * angle[k - 1] + 0.24 * push[k]
+    ticks[:, 0] = np.radians(0.5) * np.convolve(angle, np.ones(10) / 10, "same")
+    ticks[:, 1] = np.linspace(*speeds, n)
+    kinds = [
+        *((kind, place, sd) for place in range(4)
+          for kind, sd in ((NORTH, 0.01), (EAST, 0.01), (VELOCITY, 0.03), (ROLL_ANGLE, 0.005))),
+        (YAW_RATE, 0, 0.003), (YAW_RATE, 1, 0.003),
+    ]  # fmt: skip
+    rows = [
+        [10 * epoch + place // 2, 0.004 * place, kind, place, 0.0, sd]
+        for epoch in range(n // 10)
+        for kind, place, sd in kinds
+    ]
+    made = np.array(rows, dtype=np.float64)
+    return Record(0, ticks, made[np.lexsort((made[:, 1], made[:, 0]))])
+
+
+def raw_response(record: Record, point: Array, setup: RigSetup, places: Places = NOTHING) -> Array:
+    """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a)."""
+    m, speeds = len(record.rows), tabulated(record.ticks)
+    zeros = np.zeros((m, len(KEPT)))
+    gains = Gains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
+    whole = Whitened(
+        record.ticks, record.rows, gains, filter_model(speeds, point, setup), np.arange(m), np.ones(m),
+        np.array([record.ticks[:, 0].mean()]),
+    )  # fmt: skip
+    out = np.empty((m, 1 + len(places)))
+    respond(whole, straight_model(speeds, point, setup, places), point, places, out)
+    return out
