@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel, kernel
-from tilth.estimator.filters.measurement_model import GATES, noise_factor
+from tilth.estimator.filters.gates import GATES
+from tilth.estimator.filters.measurement_model import noise_factor
 from tilth.estimator.filters.sensors.wheel_angle import driven_by, set_wheel_slopes, wheel_angle_at
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
