@@ -2,7 +2,8 @@
 
     python bench/copies.py [DRIVE …] [--copies NAME,…] [--out FILE]
 
-A DRIVE is `planar:SEED`, `spatial:SEED`, drawn as the rows of bench/spatial_logs.py are, or LOG:MACHINE.toml.
+A DRIVE is `planar:SEED` or `spatial:SEED`, drawn as the rows of bench/spatial_logs.py are, with the packaged machine
+or that of `:MACHINE.toml` behind it, or LOG:MACHINE.toml.
 Its copies are the same frames
 
 at LATITUDE   at another place on Earth, so that degrees are rounded otherwise (1e-7°, 3 mm rms)
@@ -172,14 +173,16 @@ def drive_named(name: str) -> tuple[Machine, list[Frame]]:
     kind, _, rest = name.partition(":")
     if kind not in ("planar", "spatial"):
         return parse_machine(Path(rest).read_text(encoding="utf-8")), list(frames(Path(kind)))
-    seed = int(rest)
-    logged = replace(spatial_logs.ROW["spatial_random"], seconds=SECONDS)
-    source = spatial_logs.source_of(logged, seed)
-    scenario = source.scenario
+    number, _, file = rest.partition(":")
+    seed = int(number)
+    source = spatial_logs.source_of(replace(spatial_logs.ROW["spatial_random"], seconds=SECONDS), seed)
+    machine, scenario = source.machine, source.scenario
+    if file:
+        machine = parse_machine(Path(file).read_text(encoding="utf-8"))
     if kind == "planar":
         ground = Ground(roll_sd_deg=0.7, force_sd=0.015)
         scenario = replace(scenario, plant="planar", ground=ground, spatial=Spatial())
-    return source.machine, list(simulate(source.machine, seed, SECONDS, scenario))
+    return machine, list(simulate(machine, seed, SECONDS, scenario))
 
 
 # Results.
