@@ -80,9 +80,11 @@ class Search:
     prior_sd: Array  # (a,), with all others unknown
     active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
     of_motion: NDArray[np.bool_] = field(init=False)  # (a,), whether an active unknown is no noise level
+    of_roll: NDArray[np.bool_] = field(init=False)  # (a,), whether it is of how a body swings on its tyres
 
     def __post_init__(self) -> None:
         self.of_motion = np.array([NAMES[k] not in NOISES for k in self.active])
+        self.of_roll = np.isin(self.active, ROLL_MODES)
 
     @property
     def scored(self) -> Array:
@@ -234,12 +236,12 @@ def with_noise_levels(search: Search, at: Iterate) -> Iterate:
     return replace(at, de=de, dS=dS, noise_point=at.point)
 
 
-def with_gains(search: Search, at: Iterate) -> Iterate:
-    """The derivatives over the six and over stiffness, damping and inertia of the roll modes with what the
-    change of the gains does in them, by differences of runs: the gradient is that of the likelihood."""
+def with_gains(search: Search, at: Iterate, six: bool = True) -> Iterate:
+    """The derivatives over stiffness, damping and inertia of the roll modes, and over the six, with what the
+    change of the gains does in them, by differences of runs: there the gradient is that of the likelihood."""
     de, dS = at.de.copy(), at.dS.copy()
     steps = np.minimum(LIKELIHOOD.difference_step * search.prior_sd, LIKELIHOOD.step_limit)
-    for k in np.flatnonzero((search.active < 6) | np.isin(search.active, ROLL_MODES)):
+    for k in np.flatnonzero(search.of_roll | (six & (search.active < 6))):
         there = _run(search, at.point + steps[k] * np.eye(len(at.point))[search.active[k]])
         de[k], dS[k] = (there.e - at.e) / steps[k], (there.S - at.S) / steps[k]
     return replace(at, de=de, dS=dS)
@@ -288,7 +290,10 @@ def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:
     shared = (here.de * weight) @ shaken.T
     inside = inverse((shaken * weight) @ shaken.T + np.diag(sd**-2.0))
     _, information = gradient_and_information(search, here, scores_at(search, here))
-    left = replace(here, de=here.de - shared @ inside @ shaken)
+    told = (shaken * weight) @ here.e
+    left = replace(
+        here, de=here.de - shared @ inside @ shaken, cost=here.cost - float(told @ inside @ told) / 2.0
+    )
     return left, information - shared @ inside @ shared.T
 
 
@@ -305,5 +310,10 @@ def gradient_and_information(search: Search, at: Iterate, scores: Array) -> tupl
     scored = search.scored
     whitened, relative = at.de * (scored / np.sqrt(at.S)), at.dS * (scored / at.S)
     information = whitened @ whitened.T + 0.5 * relative @ relative.T + search.prior_information
+    return gradient(search, at, scores), information
+
+
+def gradient(search: Search, at: Iterate, scores: Array) -> Array:
+    """Gradient (a,) of the cost, including the prior."""
     deviation = (at.point - search.prior_mean)[search.active]
-    return scores.sum(axis=1) + search.prior_information @ deviation, information
+    return np.asarray(scores.sum(axis=1) + search.prior_information @ deviation, np.float64)

@@ -81,6 +81,7 @@ class Rule(NamedTuple):
     most: float = math.inf  # so much is not tried
     tries: int = 100  # of a step, each with `more` damping than the one before
     at_once: bool = False  # lessen it only if the first try does
+    moving: NDArray[np.bool_] | None = None  # (a,), which unknowns may move, all if None
 
 
 def newton_step(
@@ -122,7 +123,7 @@ def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]
     damping, sizes, promised = NEWTON.first_damping, np.zeros(0), math.inf
     for step in range(1, most + 1):
         at, gradient, information = problem.terms(at)
-        newton, sds = newton_step(gradient, information)
+        newton, sds = newton_step(gradient, information, moving=rule.moving)
         promised = -float(gradient @ newton) / 2.0
         descent = _descend(problem, at, gradient, information, rule, damping)
         change, then, damping = descent
@@ -143,7 +144,9 @@ def _descend(
         more = damping * NEWTON.more**tried
         if more >= rule.most:
             break
-        change, _ = newton_step(gradient, information, damping=more, limits=rule.limits, each=rule.each)
+        change, _ = newton_step(
+            gradient, information, moving=rule.moving, damping=more, limits=rule.limits, each=rule.each
+        )
         then = problem.after(at, change)
         if then is not None:
             kept = rule.at_once and tried > 0

@@ -2,8 +2,8 @@
 with room for what the model of the ground has wrong.
 """
 
-import math
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from tilth.estimator.filters.likelihood import (
     Search,
     apart_from_ground,
     evaluate,
+    gradient,
     gradient_and_information,
     innovations,
     inverse,
@@ -26,7 +27,7 @@ from tilth.estimator.filters.likelihood import (
     with_gains,
     with_noise_levels,
 )
-from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step, share_of_step
+from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
@@ -42,15 +43,23 @@ class SearchTuning:
     most_iterations: int = tuned(25, "iterations", "of a search")
     small_step: float = tuned(0.03, "sd", "of the posterior: a step this small ends the search")
     slack: float = tuned(0.2, "nat", "by which a step may raise the cost: derivatives are not exact")
+    far_slack: float = tuned(
+        10.0, "nat", "the same of `_apart`, whose equations are not quite the cost's slopes"
+    )
+    """So it only keeps a step from running away: held to 0.2, a search ended where its steps were refused."""
     rough_start: float = tuned(1.5, "1", "added at first to a disturbance's logarithm whose sd is above 1")
     """A search that begins with rough ground does not end in a local minimum."""
     flat_cost: float = tuned(
         0.05, "nat", "the search ends if the cost changes by less and `settled_step` holds"
     )
-    roughly_flat: float = tuned(0.2, "nat", "the same where `_apart` follows")
+    roughly_flat: float = tuned(0.2, "nat", "the same of noise levels and roll modes before `_apart`")
+    soon_flat: float = tuned(1.0, "nat", "the same of a search that only begins for these two")
     settled_step: float = tuned(0.1, "sd", "of the posterior of the six")
     arrived_step: float = tuned(0.3, "sd", "of the six: remaining step of a stopped search that converged")
-    steps_apart: int = tuned(8, "steps", "at most, of `_apart`; the later ones are halved: no cost falls")
+    steps_on_ground: int = tuned(
+        1, "step", "at most, of noise levels and roll modes: each is 7 runs and more"
+    )
+    steps_apart: int = tuned(8, "steps", "at most, of `_apart`")
     furthest: float = tuned(3.0, "sd", "of any of the six, by which `_apart` may leave the best likelihood")
     """A relaxation length that has become short enough has no effect any more: sigma_i came out at a tenth in
     one of 16 fields."""
@@ -87,30 +96,42 @@ class Posterior:
 
 
 def maximise_posterior(
-    record: Record, setup: RigSetup, mean: Array, covariance: Array, reference: Array | None = None
+    record: Record,
+    setup: RigSetup,
+    mean: Array,
+    covariance: Array,
+    reference: Array | None = None,
+    start: Array | None = None,
 ) -> Posterior:
     """The fit. mean [n], covariance [n, n]: the prior over unknowns.NAMES; one with zero variance stays
     fixed.
 
     reference: [n], a point to compare with the prior's mean on this record, which was used for neither
-    (`gain`).
+    (`gain`). start: [n], where the search begins, the prior's mean if None: it should end in the same place.
     """
     search = search_of(record, setup, mean, covariance)
     gain = 0.0 if reference is None else likelihood_at(search, reference) - likelihood_at(search, mean)
-    point = mean.copy()
+    point = (mean if start is None else start).copy()
     point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, SEARCH.rough_start, 0.0)
-    minimum = _minimise(search, evaluate(search, point))
+    minimum = _maximum(_Likelihood(search), evaluate(search, point))
+    steps = minimum.steps
     stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > SEARCH.empty_promise
     if stuck or setup.scale != 1.0:
-        # What the ground's shaking tells of a roll mode is not in derivatives with gains held: along them no
-        # step may lower the cost. Where `_apart` does not follow, the maximum itself is asked for.
-        minimum = _minimise(search, minimum.at, exact=True)
-    found, converged = minimum.at, minimum.end is End.SETTLED
-    converged |= minimum.end is End.STUCK and bool(np.max(minimum.sizes) < SEARCH.arrived_step)
+        # Along derivatives with gains held no step may lower the cost. Where `_apart` does not follow, the
+        # maximum itself is asked for.
+        minimum = _maximum(_Likelihood(search, Gains.ALL), minimum.at)
+        steps += minimum.steps
+    converged = minimum.end is End.SETTLED or _arrived(minimum)
+    found = minimum.at
+    if setup.scale == 1.0:
+        ground = _Likelihood(search, Gains.OF_ROLL, ~search.of_motion | search.of_roll)
+        settled_ground = _maximum(ground, found, SEARCH.steps_on_ground)
+        found, steps = settled_ground.at, steps + settled_ground.steps
     _, information = gradient_and_information(search, found, scores_at(search, found))
     counted = information
     if setup.scale == 1.0:
-        found, counted, settled = _apart(search, found)
+        there, settled = _apart(search, found)
+        found, counted, steps = there.at.left, there.at.information, steps + there.steps
         converged |= settled
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
     scores = scores_at(search, found)
@@ -119,7 +140,7 @@ def maximise_posterior(
     return Posterior(
         found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
         record_information,
-        found.cost / max(len(record.rows), 1), gain, minimum.steps, len(record.rows),
+        found.cost / max(len(record.rows), 1), gain, steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
     )  # fmt: skip
 
@@ -134,71 +155,115 @@ def _leave_out(search: Search, e: Array, S: Array) -> None:
     search.used = np.where(outliers(search.record.rows, e, S), 0.0, search.used)
 
 
+class Gains(Enum):
+    """Whose derivatives have in them what a change of the filter's gains does."""
+
+    HELD = "held"  # none
+    OF_ROLL = "of roll"  # those of the roll modes
+    ALL = "all"  # those of the six, too
+
+
 class _Likelihood(NamedTuple):
-    """A search as newton.Problem. exact: derivatives have in them what the gains do."""
+    """A search for the likelihood's maximum, as newton.Problem."""
 
     search: Search
-    exact: bool
+    gains: Gains = Gains.HELD
+    moving: NDArray[np.bool_] | None = None  # (a,), what is searched for, all if None
 
     def terms(self, at: Iterate) -> tuple[Iterate, Array, Array]:
         at = with_noise_levels(self.search, at)
-        if self.exact:
-            at = with_gains(self.search, at)
+        if self.gains is not Gains.HELD:
+            at = with_gains(self.search, at, six=self.gains is Gains.ALL)
         return at, *gradient_and_information(self.search, at, scores_at(self.search, at))
 
     def after(self, at: Iterate, change: Array) -> Iterate | None:
-        trial = at.point.copy()
-        trial[self.search.active] += change
-        then = evaluate(self.search, trial, at)
+        then = evaluate(self.search, _moved(self.search, at.point, change), at)
         return then if np.isfinite(then.cost) and then.cost <= at.cost + SEARCH.slack else None
 
     def taken(self, step: int, at: Iterate) -> Iterate:
-        if step != 2 or self.exact:
+        if step != 2 or self.gains is not Gains.HELD:
             return at
+        before = self.search.used
         _leave_out(self.search, at.e, at.S)  # outliers are chosen once in a fit, at this point
-        return evaluate(self.search, at.point, at)
+        return at if np.array_equal(before, self.search.used) else evaluate(self.search, at.point, at)
 
     def settled(self, step: int, before: Iterate, at: Iterate, sizes: Array) -> bool:
         """Only the six must be settled: a noise level that has no effect may go to and fro."""
-        limit = SEARCH.roughly_flat if self.search.setup.scale == 1.0 else SEARCH.flat_cost
-        six = float(np.max(sizes[self.search.active < 6], initial=0.0))
-        flat = abs(at.cost - before.cost) < limit
-        return step > 2 and ((flat and six < SEARCH.settled_step) or float(np.max(sizes)) < SEARCH.small_step)
+        change, six = abs(at.cost - before.cost), float(np.max(sizes[self.search.active < 6], initial=0.0))
+        if self.moving is not None:
+            return change < SEARCH.roughly_flat
+        if self.search.setup.scale == 1.0:  # `_apart` follows
+            return step > 1 and change < SEARCH.soon_flat and six < SEARCH.arrived_step
+        flat = change < SEARCH.flat_cost and six < SEARCH.settled_step
+        return step > 2 and (flat or float(np.max(sizes)) < SEARCH.small_step)
 
 
-def _minimise(search: Search, at: Iterate, exact: bool = False) -> Minimum[Iterate]:
-    """The minimum of the cost, from a starting point."""
-    rule = Rule(_step_limits(search), False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True)
-    return minimise(_Likelihood(search, exact), at, rule, SEARCH.most_iterations)
+class _Place(NamedTuple):
+    """A point of the search of `_Apart`."""
+
+    here: Iterate
+    left: Iterate  # as apart_from_ground
+    information: Array  # (a, a), left too
 
 
-def _apart(search: Search, at: Iterate) -> tuple[Iterate, Array, bool]:
-    """(the likelihood's maximum with `apart_from_ground`, the information there, whether it was found). Noise
-    levels stay."""
-    of_six, limits = search.active < 6, _step_limits(search)
-    instruments, renewed, size, moved = response_to_steering(search, at.point), at.point, math.inf, 0.0
-    found, information = start = apart_from_ground(search, evaluate(search, at.point, at, instruments))
-    for k in range(SEARCH.steps_apart):
-        gradient, _ = gradient_and_information(search, found, scores_at(search, found))
-        newton, sds = newton_step(gradient, information, moving=search.of_motion, limits=limits)
-        step = share_of_step(k, SEARCH.steps_apart) * newton
-        point = found.point.copy()
-        point[search.active] += step
-        size, since, moved = (
-            float(np.max((np.abs(change) / sds)[of_six], initial=0.0))
-            for change in (step, (point - renewed)[search.active], (point - at.point)[search.active])
-        )
-        if since > SEARCH.arrived_step:
-            instruments, renewed = response_to_steering(search, point), point
-        there = evaluate(search, point, at, instruments)
-        if not math.isfinite(there.cost):
-            return *start, False
-        found, information = apart_from_ground(search, there)
-        if size < SEARCH.settled_step:
-            break
-    if size < SEARCH.arrived_step and moved < SEARCH.furthest:
-        return found, information, True
-    return *start, False  # nothing better than the likelihood's maximum is known
+class _Apart(NamedTuple):
+    """The search for the maximum with `apart_from_ground`, as newton.Problem, over what `moving` names."""
+
+    search: Search
+    moving: NDArray[np.bool_]
+
+    def place(self, point: Array, before: Iterate) -> _Place:
+        here = evaluate(self.search, point, before, response_to_steering(self.search, point))
+        return _Place(here, *apart_from_ground(self.search, here))
+
+    def terms(self, at: _Place) -> tuple[_Place, Array, Array]:
+        return at, gradient(self.search, at.left, scores_at(self.search, at.left)), at.information
+
+    def after(self, at: _Place, change: Array) -> _Place | None:
+        then = self.place(_moved(self.search, at.here.point, change), at.here)
+        good = np.isfinite(then.here.cost) and then.left.cost <= at.left.cost + SEARCH.far_slack
+        return then if good else None
+
+    def taken(self, step: int, at: _Place) -> _Place:
+        return at
+
+    def settled(self, step: int, before: _Place, at: _Place, sizes: Array) -> bool:
+        return float(np.max(sizes[self.search.active < 6], initial=0.0)) < SEARCH.settled_step
+
+
+def _moved(search: Search, point: Array, change: Array) -> Array:
+    there = point.copy()
+    there[search.active] += change
+    return there
+
+
+def _rule(search: Search, moving: NDArray[np.bool_] | None) -> Rule:
+    limits = _step_limits(search)
+    return Rule(limits, False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True, moving=moving)
+
+
+def _maximum(problem: _Likelihood, at: Iterate, most: int = SEARCH.most_iterations) -> Minimum[Iterate]:
+    """The likelihood's maximum, from a starting point."""
+    return minimise(problem, at, _rule(problem.search, problem.moving), most)
+
+
+def _arrived(minimum: Minimum[Iterate]) -> bool:
+    """Whether no more than a small step remains of a search that no step takes further."""
+    return minimum.end is End.STUCK and bool(np.max(minimum.sizes) < SEARCH.arrived_step)
+
+
+def _apart(search: Search, at: Iterate) -> tuple[Minimum[_Place], bool]:
+    """(the likelihood's maximum with `apart_from_ground`, whether it was found). Noise levels and roll modes
+    stay."""
+    problem = _Apart(search, search.of_motion & ~search.of_roll)
+    start = problem.place(at.point, at)
+    found = minimise(problem, start, _rule(search, problem.moving), SEARCH.steps_apart)
+    six, (_, sds) = search.active < 6, newton_step(np.zeros(len(search.active)), found.at.information)
+    moved = np.abs(found.at.here.point - at.point)[search.active] / sds
+    near = bool(np.max(found.sizes[six], initial=0.0) < SEARCH.arrived_step)
+    if near and np.max(moved[six], initial=0.0) < SEARCH.furthest:
+        return found, True
+    return found._replace(at=start), False  # nothing better than the likelihood's maximum is known
 
 
 def with_gain(found: Posterior, gain: float) -> Posterior:
