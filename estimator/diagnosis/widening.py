@@ -22,7 +22,7 @@ from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
-from tilth.schemas.flow import Estimate, ParameterEstimate, Status
+from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Combination, Reason
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ SEGMENT_S: Final = ALIGNMENT.pose_ns * 1e-9
 _OPEN_VARIANCE: Final = np.array([row.open_sd**2 for row in OPEN])
 _CONSIDERED: Final = [unknowns.NAMES[k] for k in unknowns.MASSES]
 """The methods do not learn these either: what the file says of them, with its sd, is in their covariances."""
-_MASS_INSTEAD: Final = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+_MASS_INSTEAD: Final = np.array([name in ("C_af", "C_ar") for name in PARAMETERS], dtype=np.float64)
 """What looks like another inertia of the tractor may be its mass: then C_af and C_ar are off by as much."""
 _NUMBER_OF_PART: Final = np.array([*range(len(NAMES)), NAMES.index("I_t")])
 
