@@ -39,7 +39,7 @@ class WideningTuning:
     least: float = tuned(1.1, "1", "factor by which the file must widen a number before it is not given")
     said: float = tuned(1.2, "1", "factor from which the reason says by what a number is widened")
     confirmed: float = tuned(
-        0.1, "1", "largest sd of C_af, C_ar and C_ai by the file with which it is confirmed"
+        0.2, "1", "largest sd of C_af, C_ar and C_ai by the file with which it is confirmed"
     )
     shortest_s: float = tuned(10.0, "s", "shortest time of steering that is asked for")
     longest_s: float = tuned(120.0, "s", "longest time of steering that is asked for")
