@@ -84,6 +84,7 @@ class Consistency:
     confirmed: bool = False  # no error of the file that driving has not excluded would matter
     judged: bool = False  # it is known what such errors add
     widening: Widening = field(default_factory=Widening)
+    given: dict[str, list[bool]] = field(default_factory=dict)  # method -> which of the six had a number
     was_confirmed: bool = False  # at some time of this run
     pairs_known: bool = (
         False  # it was, and since then a receiver is left out: one alone shows no yaw of a pair
@@ -149,7 +150,7 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
         return _without_numbers(estimate, Status.INVALID, reason)
     if not state.judged and not state.confirmed:
         return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
-    return widened(state.widening, estimate)
+    return widened(state.widening, estimate, state.given.get(estimate.method, ()))
 
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:

@@ -150,7 +150,9 @@ def withheld(state: RigDiagnosis, estimate: Estimate) -> Estimate:
 def checked(state: RigDiagnosis, machine: Machine, estimate: Estimate) -> Estimate:
     """A method's new estimate, as it may be published."""
     consistency.check_estimate(state.consistency, machine, estimate)
-    return consistency.withheld(state.consistency, estimate)
+    published = consistency.withheld(state.consistency, estimate)
+    state.consistency.given[estimate.method] = [p.value is not None for p in published.parameters]
+    return published
 
 
 def contradictions(state: RigDiagnosis) -> list[Diagnosis]:

@@ -9,7 +9,7 @@ as no error that may still be in the file makes it useless, and it is as wide as
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Final
 
@@ -22,7 +22,7 @@ from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
-from tilth.schemas.flow import Estimate, ParameterEstimate, Status
+from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Combination, Reason
 
 Array = NDArray[np.float64]
@@ -37,9 +37,10 @@ class WideningTuning:
     where driving has told nothing of it."""
     widest: float = tuned(0.3, "1", "sd of a logarithm above which a number is not given for the file's sake")
     least: float = tuned(1.1, "1", "factor by which the file must widen a number before it is not given")
+    withdrawn: float = tuned(1.2, "1", "factor on that limit for a number that was given before")
     said: float = tuned(1.2, "1", "factor from which the reason says by what a number is widened")
     confirmed: float = tuned(
-        0.1, "1", "largest sd of C_af, C_ar and C_ai by the file with which it is confirmed"
+        0.2, "1", "largest sd of C_af, C_ar and C_ai by the file with which it is confirmed"
     )
     shortest_s: float = tuned(10.0, "s", "shortest time of steering that is asked for")
     longest_s: float = tuned(120.0, "s", "longest time of steering that is asked for")
@@ -50,7 +51,7 @@ SEGMENT_S: Final = ALIGNMENT.pose_ns * 1e-9
 _OPEN_VARIANCE: Final = np.array([row.open_sd**2 for row in OPEN])
 _CONSIDERED: Final = [unknowns.NAMES[k] for k in unknowns.MASSES]
 """The methods do not learn these either: what the file says of them, with its sd, is in their covariances."""
-_MASS_INSTEAD: Final = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+_MASS_INSTEAD: Final = np.array([name in ("C_af", "C_ar") for name in PARAMETERS], dtype=np.float64)
 """What looks like another inertia of the tractor may be its mass: then C_af and C_ar are off by as much."""
 _NUMBER_OF_PART: Final = np.array([*range(len(NAMES)), NAMES.index("I_t")])
 
@@ -90,20 +91,23 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = ()) -> Widening
     )  # fmt: skip
 
 
-def widened(widening: Widening, estimate: Estimate) -> Estimate:
-    """An estimate as wide as the file may be wrong; without the numbers that this leaves useless."""
+def widened(widening: Widening, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
+    """An estimate as wide as the file may be wrong; without the numbers that this leaves useless. had: which
+    of the six it had before; these are withdrawn later than new ones are given."""
     if not estimate.log_covariance or (widening.factor == 1.0 and not widening.covariance.any()):
         return estimate
     own = np.reshape(estimate.log_covariance, (6, 6))
     covariance = widening.factor * own + widening.covariance
-    parameters = tuple(_parameter(widening, k, p) for k, p in enumerate(estimate.parameters))
+    parameters = tuple(
+        _parameter(widening, k, p, had=k < len(had) and had[k]) for k, p in enumerate(estimate.parameters)
+    )
     masses = tuple(
         None if p.value is None else one for p, one in zip(parameters, estimate.per_mass, strict=False)
     )
     determined = tuple(
         replace(one, log_sd=total)
         for one in estimate.determined
-        if not _useless(one.log_sd, total := _of_combination(widening, one))
+        if (total := _of_combination(widening, one)) <= _limit(one.log_sd)
     )
     return replace(
         estimate, parameters=parameters, log_covariance=tuple(covariance.ravel().tolist()), per_mass=masses,
@@ -111,18 +115,19 @@ def widened(widening: Widening, estimate: Estimate) -> Estimate:
     )  # fmt: skip
 
 
-def _parameter(widening: Widening, k: int, given: ParameterEstimate) -> ParameterEstimate:
+def _parameter(widening: Widening, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
     if given.value is None or given.sd is None:
         return given
     added, own = math.sqrt(widening.covariance[k, k]), given.sd / given.value
     misfit = own * math.sqrt(widening.factor - 1.0)
     total = math.hypot(own, misfit, added)
     key = NUMBER[widening.by[k] if added > misfit else widening.worst].key
-    if not _useless(own, total):
+    limit = _limit(own, had)
+    if total <= limit:
         by_file = math.hypot(misfit, added)
         reason = Reason(Code.WIDENED, (key,), (by_file,)) if total > WIDENING.said * own else None
         return replace(given, sd=given.value * total, reason=given.reason or reason)
-    room = _limit(own) ** 2 - own**2 - misfit**2
+    room = limit**2 - own**2 - misfit**2
     if widening.doubted[k] or room <= 0.0:
         reason = Reason(Code.DOUBTED, (key,))
     else:  # variances fall with the time driven
@@ -137,9 +142,5 @@ def _of_combination(widening: Widening, one: Combination) -> float:
     return math.sqrt(widening.factor * one.log_sd**2 + float(weights @ widening.covariance @ weights))
 
 
-def _useless(own: float, total: float) -> bool:
-    return total > _limit(own)
-
-
-def _limit(own: float) -> float:
-    return max(WIDENING.widest, WIDENING.least * own)
+def _limit(own: float, had: bool = False) -> float:
+    return max(WIDENING.widest, WIDENING.least * own) * (WIDENING.withdrawn if had else 1.0)

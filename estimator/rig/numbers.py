@@ -150,7 +150,7 @@ NUMBERS: Final = (
     ),
     RigNumber(
         "e", "implement.e", added("implement", "e"),
-        open_sd=0.5, allowed_sd=0.1, cg_of="implement",
+        open_sd=0.5, allowed_sd=0.15, cg_of="implement",
     ),
     RigNumber(
         "wheel_zero", "wheel_angle.zero or offset", added("wheel_angle", "zero", math.degrees),
@@ -212,9 +212,9 @@ virtual tractor, in space they are a third of it.
 allowed_sd is from drives with right files. What tells of the implement's mass and yaw inertia themselves are
 small forces between the bodies. The mass came out at half and less in fields with headland turns, in 4 of 10
 on the planar plant and 1 of 4 in space; behind carts of 6 to 12 t in space at a quarter, and the inertia at a
-third. In steps e was 0.25 m off, on both plants. The right file was doubted to the end. Not to learn masses
-in sharp turns at all ends more such doubts: two of sixteen on a stranger's fields, where numbers of the
-tracker then were 3 and 4 sds off. There the doubt was right.
+third. In steps and turns e was 0.25 m off, on both plants; over all drives 0.16 m rms. The right file was
+doubted to the end. Not to learn masses in sharp turns at all ends more such doubts: two of sixteen on a
+stranger's fields, where numbers of the tracker then were 3 and 4 sds off. There the doubt was right.
 """
 NUMBER: Final[Mapping[str, RigNumber]] = {number.name: number for number in NUMBERS}
 

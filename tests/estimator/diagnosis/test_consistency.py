@@ -1,5 +1,6 @@
 """A machine file that the data contradict gives no number, and says which key to look at."""
 
+import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -10,6 +11,7 @@ import pytest
 import wrong_files
 from circle import demo_machine
 from estimation_study import STEPS
+from paths import SHARED
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import consistency, findings, open_numbers
@@ -19,9 +21,11 @@ from tilth.estimator.methods import open_tracker
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import NUMBER
+from tilth.replay.readers.any_log import frames as log_frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import (
+    PARAMETERS,
     Attitude,
     Estimate,
     Event,
@@ -47,6 +51,7 @@ from tilth.simulator.traffic import simulate
 SECONDS = 55.0
 RANDOM = replace(wrong_files.DRIVES["random"], speed=4.5, seconds=SECONDS)
 LONG = replace(RANDOM, seconds=200.0)
+STRANGERS = SHARED / "data" / "strangers"
 THREE_STEPS = replace(STEPS.scenario, ground=Ground())
 
 
@@ -130,6 +135,25 @@ def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -
     misfit = open_tracker.misfit(state.open.tracker, demo_machine())
     assert misfit.by_name.max() < 8.0 and misfit.total < 20.0  # else 188 and 371
     assert list(given(out))[-1][0] > frames(LONG)[-1].t_ns - 2e9
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not STRANGERS.is_dir(), reason="the strangers' drives are not here")
+@pytest.mark.parametrize("name", ["s0", "s5"])
+def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
+    """Tractors of 5 and 8 t with carts of 7 and 6 t, that driving doubted to the end: the inertia of either
+    cart comes out at a half or less."""
+    machine = parse_machine((STRANGERS / f"{name}.toml").read_text(encoding="utf-8"))
+    truth = json.loads((STRANGERS / f"{name}.truth.json").read_text(encoding="utf-8"))
+    heard = list(log_frames(STRANGERS / f"{name}.log.gz"))
+    _, out = run(machine, heard)
+    times = [(t_ns - heard[0].t_ns) * 1e-9 for t_ns, e in given(out) if e.method == "tracker"]
+    assert times[0] < 30.0 and times[-1] > (heard[-1].t_ns - heard[0].t_ns) * 1e-9 - 2.0
+    last = [e for _, e in given(out) if e.method == "tracker"][-1]
+    for p, parameter in zip(last.parameters, PARAMETERS, strict=True):
+        assert p.value is not None and p.sd is not None and p.sd / p.value <= 0.3, (parameter, p.reason)
+        assert abs(math.log(p.value / truth[parameter])) < 3.0 * p.sd / p.value, parameter
+    assert contradictions(out) == []
 
 
 def test_no_number_before_a_gross_error_would_have_shown() -> None:

@@ -125,6 +125,18 @@ def test_the_reason_says_which_number_and_what_to_do(
         assert WIDENING.shortest_s <= one.reason.numbers[1] <= WIDENING.longest_s
 
 
+@pytest.mark.parametrize(
+    ("slope", "first", "again"), [(4.5, True, True), (5.5, False, True), (7.0, False, False)]
+)
+def test_a_number_that_was_given_is_withdrawn_later_than_a_new_one_is_given(
+    slope: float, first: bool, again: bool
+) -> None:
+    file = widening_of(evidence({"e": slope}, {}, 0.4))
+    for had, expected in ((False, first), (True, again)):
+        given_ = widened(file, estimate(0.1), [had] * 6).parameters[2]
+        assert (given_.value is not None) == expected
+
+
 def test_where_the_file_does_not_fit_as_a_whole_a_method_s_own_variances_grow() -> None:
     far = evidence({}, dict.fromkeys(LOOKED_AT, 1.0), 0.5)
     factor = far.misfit.total / N
