@@ -20,8 +20,8 @@ from scipy.linalg import expm
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.free_noise import gradient_and_information, regress
-from tilth.estimator.filters.rig_setup import nominal_roll
 from tilth.estimator.filters.unknowns import UNKNOWNS, ActsAs
+from tilth.estimator.models.roll_stiffness import nominal_roll
 from tilth.estimator.models.rolling import empty_motion, rates
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, STATES
 from tilth.schemas.flow import Mount

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from logs import MACHINE, MACHINE_TEXT
 
-from tilth.estimator.filters import unknowns
+from tilth.estimator.filters import priors, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.models.parameters import TABLE_5_1, rig_of, static_loads, upright_axles
@@ -49,7 +49,7 @@ def test_what_is_told_is_known_better() -> None:
     springs = told(tractor="suspended_front_axle = true")
     assert sd(springs, "roll_pin") > 2 * sd(usual, "roll_pin") and sd(springs, "roll_front") > 0.8
     lower = told(tractor="").tractor.cg_height
-    assert lower.sd == 0.0 and sd(usual, "roll_cg_t") == unknowns.PRIOR.cg_height_sd
+    assert lower.sd == 0.0 and sd(usual, "roll_cg_t") == priors.PRIOR.cg_height_sd
 
 
 def test_dual_wheels_hold_more_of_the_roll() -> None:
