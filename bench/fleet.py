@@ -84,7 +84,8 @@ def follow(first: int, scale: float, k: int) -> Result:
         name: {
             "error": (rows[-1, 1:7] - heard.logs).tolist(),
             "sd": rows[-1, 7:13].tolist(),
-            "given": [_given(rows, end) for end in ends],
+            "given": [_given(rows, end) for end in (*ends, math.inf)],  # and at the end of the drive
+            "reasons": heard.reasons[name],
         }
         for name, rows in heard.series.items()
     }
@@ -121,7 +122,7 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
     lines += _right_files(made)
     for of in ("manoeuvre", "plant", "rms", "slope", "tractor", "implement", "duals"):
         lines += _groups(made, of)
-    return [*lines, *_far(made), *_others(made)]
+    return [*lines, *_far(made), *spatial_rows.reasons(made), *_others(made)]
 
 
 def _numbers(made: Sequence[Result], method: str) -> tuple[Array, Array]:
@@ -163,15 +164,18 @@ def _figures(method: str, error: Array, sd: Array) -> Iterator[Line]:
 
 
 def _right_files(made: Sequence[Result]) -> Iterator[Line]:
-    for k, (after, least) in enumerate(zip(AFTER_S, (0.97, 0.99), strict=True)):
+    """How many files have numbers; a drive that is shorter does not count."""
+    instants = [f"{after:.0f} s after steering began" for after in AFTER_S]
+    for k, (instant, least) in enumerate(zip((*instants, "at the end"), (0.97, 0.99, 0.99), strict=True)):
         for method in ("recommended", "pem", "tracker"):
             said = [one["methods"][method]["given"] for one in made if method in one["methods"]]
-            long_enough = [given[k] for given in said if len(given) > k]
-            n, hits = len(long_enough), sum(long_enough)
+            ended = k == len(AFTER_S)
+            counted = [given[-1] if ended else given[k] for given in said if ended or len(given) > k + 1]
+            n, hits = len(counted), sum(counted)
             if n:
                 asked = method == "recommended"
                 yield Line(
-                    f"right files with numbers of {method}, {after:.0f} s after steering began",
+                    f"right files with numbers of {method}, {instant}",
                     f"{hits} of {n}, {100 * hits / n:.0f} %", f"≥ {100 * least:.0f} %" if asked else "",
                     hits / n >= least if asked else None, (hits / n,),
                 )  # fmt: skip

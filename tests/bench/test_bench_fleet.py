@@ -44,7 +44,8 @@ def _made(z: float, sd: float, count: int = 60) -> list[fleet.Result]:
         said = {
             "error": (z * sd * rng.standard_normal(6)).tolist(),
             "sd": [sd] * 6,
-            "given": [True, k % 10 > 0],
+            "given": [True, k % 10 > 0, True],
+            "reasons": [""] * 6,
         }
         made.append({
             "row": "fleet", "seed": k, "first": 0, "scale": 1.0, "rig": k, "tractor": "heavy",
