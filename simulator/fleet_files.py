@@ -3,7 +3,7 @@
 A careful owner has taped lengths and antennas to 1 cm, weighed the tractor to 1 % and the implement to 4 %,
 taken inertias to 5 % and heights of centres of gravity to 4 cm, and tells these sds; of the implement's mass
 5 %. Of tyres he tells a rule of thumb over their load. Every other owner also tells tracks, heights of hitch
-and pin and how far the tyres give way, to 1 cm each. What he has written is one draw of the rig's seed.
+and pin to 1 cm, and how far the tyres give way, to 10 %. What he has written is one draw of the rig's seed.
 """
 
 import json
@@ -23,6 +23,7 @@ TAPE: Final = 0.01  # m, sd of a length and of each coordinate of an antenna
 TRACTOR_MASS: Final = (0.01, 0.01)  # sd of what is written, and as it is told; shares
 IMPLEMENT_MASS: Final = (0.04, 0.05)
 INERTIA: Final = (0.05, 0.05)
+DEFLECTION: Final = 0.1  # of a tyre; a share
 CG_HEIGHT: Final = 0.04  # m
 DESCRIBED: Final = 0.5  # share of owners who tell what a machine file need not have
 CORNERING: Final = 6.0  # 1/rad, rule of thumb: stiffness of an axle over its load
@@ -123,7 +124,9 @@ def _describe(raw: Raw, rig: FleetRig, off: np.ndarray) -> None:
     }
     raw["tractor"] |= {key: told for key, told in tractor.items() if key in Tractor.model_fields}
     for axle, tyre in zip(("front", "rear", "implement"), rig.tyres, strict=True):
-        keys = {"track": taped(tyre.track), "deflection": taped(tyre.deflection)}
+        by = tyre.deflection * (1.0 + DEFLECTION * next(errors))
+        pressed_in = {"value": round(by, 4), "sd": round(DEFLECTION * by, 4)}
+        keys = {"track": taped(tyre.track), "deflection": pressed_in}
         keys |= {"dual_track": outer} if tyre.twin_spacing else {}
         raw["tyres"][axle] |= {key: told for key, told in keys.items() if key in Tyre.model_fields}
 
