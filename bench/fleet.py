@@ -8,7 +8,8 @@ FILE, a line each, and not done again; --first gives fresh rigs. `python bench/e
 same table.
 
 Times count from when the wheels first turn beyond INFORMED. A file "has numbers" where C_af, C_ar and C_ai
-are given with sds of 30 % at most. z is an error over its sd, both of natural logarithms.
+are given with sds of 30 % at most. Numbers are judged as they were given last, though they may have been
+withdrawn since. z is an error over its sd, both of natural logarithms.
 """
 
 import argparse
@@ -84,6 +85,7 @@ def follow(first: int, scale: float, k: int) -> Result:
         name: {
             "error": (rows[-1, 1:7] - heard.logs).tolist(),
             "sd": rows[-1, 7:13].tolist(),
+            "last": _last(rows, heard.logs),
             "given": [_given(rows, end) for end in (*ends, math.inf)],  # and at the end of the drive
             "reasons": heard.reasons[name],
         }
@@ -94,6 +96,13 @@ def follow(first: int, scale: float, k: int) -> Result:
         "methods": methods, "contradictions": wrong, "refused": heard.refused, "drove_s": drove_s,
         "took_s": time.perf_counter() - began - drove_s, "drive_s": float(truth.time[-1]),
     }  # fmt: skip
+
+
+def _last(rows: Array, logs: Array) -> list[list[float]]:
+    """(error, sd) of each parameter as it was given last, (6, 2): what is withdrawn was out before."""
+    given = np.isfinite(rows[:, 1:7])
+    at = np.where(given.any(axis=0), len(rows) - 1 - np.argmax(given[::-1], axis=0), 0)
+    return np.column_stack([rows[at, np.arange(1, 7)] - logs, rows[at, np.arange(7, 13)]]).tolist()  # type: ignore[no-any-return]
 
 
 def _given(rows: Array, end: float) -> bool:
@@ -126,13 +135,10 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
 
 
 def _numbers(made: Sequence[Result], method: str) -> tuple[Array, Array]:
-    """Errors and sds of the last numbers, (n, 6); not a number where there is none."""
-    blank = {"error": [math.nan] * 6, "sd": [math.nan] * 6}
-    said = [one["methods"].get(method, blank) for one in made]
-    return (
-        np.array([one["error"] for one in said], np.float64).reshape(-1, 6),
-        np.array([one["sd"] for one in said], np.float64).reshape(-1, 6),
-    )
+    """Errors and sds of the numbers as they were given last, (n, 6); not a number where none ever was."""
+    blank = {"last": [[math.nan] * 2] * 6}
+    said = np.array([one["methods"].get(method, blank)["last"] for one in made], np.float64)
+    return said.reshape(-1, 6, 2)[..., 0], said.reshape(-1, 6, 2)[..., 1]
 
 
 def _figures(method: str, error: Array, sd: Array) -> Iterator[Line]:
@@ -199,7 +205,7 @@ def _far(made: Sequence[Result]) -> Iterator[Line]:
     """Each number that is far off, and of which drive."""
     for one in made:
         for method, said in one["methods"].items():
-            error, sd = np.array(said["error"]), np.array(said["sd"])
+            error, sd = np.array(said["last"]).T
             for name, off, z in zip(PARAMETERS, error, error / sd, strict=True):
                 if abs(z) > FAR[0]:
                     where = (
