@@ -24,7 +24,7 @@ from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.record.windows import WINDOWS
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Publication, Status
 from tilth.schemas.machine import Machine, Quantity
-from tilth.schemas.sentences import event_sentence
+from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import (
     STEP_S,
@@ -314,13 +314,14 @@ class Followed:
     events: list[tuple[float, str, str]]  # (time, kind, text)
     wheel: Array  # (n,) rad, true wheel angle at samples STEP_S apart
     refused: dict[str, int]  # reason -> stretches
+    reasons: dict[str, list[str]]  # method -> why there is no number at the end, (6,)
 
 
 def followed(run: Driven) -> Followed:
     """A run through the fold; each fit is there when it is due."""
     state = fold.initial(run.machine)
     series: dict[str, list[list[float]]] = {}
-    events = []
+    events, last = [], dict[str, Estimate]()
     for frame in traffic(run.truth_machine, run.truth):
         publications = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
         fold.request_fits(state, frame.t_ns)
@@ -328,6 +329,7 @@ def followed(run: Driven) -> Followed:
             value = publication.value
             if isinstance(value, Estimate):
                 series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
+                last[value.method] = value
             elif isinstance(value, Event):
                 events.append((run.seconds_of(value.t_ns), value.kind, event_sentence(value)))
     tables = {method: np.array(rows) for method, rows in series.items()}
@@ -337,6 +339,7 @@ def followed(run: Driven) -> Followed:
         events,
         run.truth.wheel_angle,
         {code.value: n for code, n in state.record.refused.items()},
+        {name: [sentence(p.reason) for p in one.parameters] for name, one in last.items()},
     )
 
 

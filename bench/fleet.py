@@ -8,7 +8,8 @@ FILE, a line each, and not done again; --first gives fresh rigs. `python bench/e
 same table.
 
 Times count from when the wheels first turn beyond INFORMED. A file "has numbers" where C_af, C_ar and C_ai
-are given with sds of 30 % at most. z is an error over its sd, both of natural logarithms.
+are given with sds of 30 % at most. Numbers are judged as they were given last, though they may have been
+withdrawn since. z is an error over its sd, both of natural logarithms.
 """
 
 import argparse
@@ -84,7 +85,9 @@ def follow(first: int, scale: float, k: int) -> Result:
         name: {
             "error": (rows[-1, 1:7] - heard.logs).tolist(),
             "sd": rows[-1, 7:13].tolist(),
-            "given": [_given(rows, end) for end in ends],
+            "last": _last(rows, heard.logs),
+            "given": [_given(rows, end) for end in (*ends, math.inf)],  # and at the end of the drive
+            "reasons": heard.reasons[name],
         }
         for name, rows in heard.series.items()
     }
@@ -93,6 +96,13 @@ def follow(first: int, scale: float, k: int) -> Result:
         "methods": methods, "contradictions": wrong, "refused": heard.refused, "drove_s": drove_s,
         "took_s": time.perf_counter() - began - drove_s, "drive_s": float(truth.time[-1]),
     }  # fmt: skip
+
+
+def _last(rows: Array, logs: Array) -> list[list[float]]:
+    """(error, sd) of each parameter as it was given last, (6, 2): what is withdrawn was out before."""
+    given = np.isfinite(rows[:, 1:7])
+    at = np.where(given.any(axis=0), len(rows) - 1 - np.argmax(given[::-1], axis=0), 0)
+    return np.column_stack([rows[at, np.arange(1, 7)] - logs, rows[at, np.arange(7, 13)]]).tolist()  # type: ignore[no-any-return]
 
 
 def _given(rows: Array, end: float) -> bool:
@@ -121,17 +131,14 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
     lines += _right_files(made)
     for of in ("manoeuvre", "plant", "rms", "slope", "tractor", "implement", "duals"):
         lines += _groups(made, of)
-    return [*lines, *_far(made), *_others(made)]
+    return [*lines, *_far(made), *spatial_rows.reasons(made), *_others(made)]
 
 
 def _numbers(made: Sequence[Result], method: str) -> tuple[Array, Array]:
-    """Errors and sds of the last numbers, (n, 6); not a number where there is none."""
-    blank = {"error": [math.nan] * 6, "sd": [math.nan] * 6}
-    said = [one["methods"].get(method, blank) for one in made]
-    return (
-        np.array([one["error"] for one in said], np.float64).reshape(-1, 6),
-        np.array([one["sd"] for one in said], np.float64).reshape(-1, 6),
-    )
+    """Errors and sds of the numbers as they were given last, (n, 6); not a number where none ever was."""
+    blank = {"last": [[math.nan] * 2] * 6}
+    said = np.array([one["methods"].get(method, blank)["last"] for one in made], np.float64)
+    return said.reshape(-1, 6, 2)[..., 0], said.reshape(-1, 6, 2)[..., 1]
 
 
 def _figures(method: str, error: Array, sd: Array) -> Iterator[Line]:
@@ -163,15 +170,18 @@ def _figures(method: str, error: Array, sd: Array) -> Iterator[Line]:
 
 
 def _right_files(made: Sequence[Result]) -> Iterator[Line]:
-    for k, (after, least) in enumerate(zip(AFTER_S, (0.97, 0.99), strict=True)):
+    """How many files have numbers; a drive that is shorter does not count."""
+    instants = [f"{after:.0f} s after steering began" for after in AFTER_S]
+    for k, (instant, least) in enumerate(zip((*instants, "at the end"), (0.97, 0.99, 0.99), strict=True)):
         for method in ("recommended", "pem", "tracker"):
             said = [one["methods"][method]["given"] for one in made if method in one["methods"]]
-            long_enough = [given[k] for given in said if len(given) > k]
-            n, hits = len(long_enough), sum(long_enough)
+            ended = k == len(AFTER_S)
+            counted = [given[-1] if ended else given[k] for given in said if ended or len(given) > k + 1]
+            n, hits = len(counted), sum(counted)
             if n:
                 asked = method == "recommended"
                 yield Line(
-                    f"right files with numbers of {method}, {after:.0f} s after steering began",
+                    f"right files with numbers of {method}, {instant}",
                     f"{hits} of {n}, {100 * hits / n:.0f} %", f"≥ {100 * least:.0f} %" if asked else "",
                     hits / n >= least if asked else None, (hits / n,),
                 )  # fmt: skip
@@ -195,7 +205,7 @@ def _far(made: Sequence[Result]) -> Iterator[Line]:
     """Each number that is far off, and of which drive."""
     for one in made:
         for method, said in one["methods"].items():
-            error, sd = np.array(said["error"]), np.array(said["sd"])
+            error, sd = np.array(said["last"]).T
             for name, off, z in zip(PARAMETERS, error, error / sd, strict=True):
                 if abs(z) > FAR[0]:
                     where = (

@@ -164,10 +164,10 @@ def judged(made: list[Result], reach: Reach) -> list[Line]:
         whole, whole_sd = errors(made, method, per_mass=False)
         lines += holding(f"{method}, C_ai itself", (whole / whole_sd)[:, 2:3], 1, ("C_ai",))[1:]
         lines += _nuisances(method, made, method)
-    return [*lines, *_reasons(made), _contradictions(made), _speed(made)]
+    return [*lines, *reasons(made), _contradictions(made), _speed(made)]
 
 
-def _reasons(made: list[Result]) -> Iterator[Line]:
+def reasons(made: Sequence[Result]) -> Iterator[Line]:
     """Why there is no number, of each method the most frequent."""
     for method in METHODS:
         said = Counter(

@@ -120,6 +120,7 @@ class FleetRig:
     latency_s: Mapping[Mount, float]
     wheel: Wheel
     speed: float
+    base_jump: float  # m, of all positions
 
     @property
     def masses(self) -> Masses:
@@ -232,7 +233,7 @@ def _equipped(
         draws.one_of(TyreCurve), draws.one_of(Lag), draws.of("load_exponent"),
         draws.of("camber_thrust"), draws.of("grip"), draws.of("rolling"), _places(draws, tractor, implement),
         draws.happens("roll_corrected", tractor.kind), {mount: draws.of("latency") for mount in Mount}, wheel,
-        draws.of("speed"),
+        draws.of("speed"), draws.of("base_jump") * draws.happens("base_moves", tractor.kind),
     )  # fmt: skip
 
 
@@ -289,6 +290,7 @@ def scenario_of(rig: FleetRig, scenario: Scenario) -> Scenario:
         wheel=rig.wheel,
         roll_sensor=RollSensor(draw=True),
         latency_s=rig.latency_s,
+        link=replace(scenario.link, base_jump=rig.base_jump),
         **of_plant,
     )
 

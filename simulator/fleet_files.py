@@ -2,7 +2,8 @@
 
 A careful owner has taped lengths and antennas to 1 cm, weighed the tractor to 1 % and the implement to 4 %,
 taken inertias to 5 % and heights of centres of gravity to 4 cm, and tells these sds; of the implement's mass
-5 %. Of tyres he tells a rule of thumb over their load. What he has written is one draw of the rig's seed.
+5 %. Of tyres he tells a rule of thumb over their load. Every other owner also tells tracks, heights of hitch
+and pin to 1 cm, and how far the tyres give way, to 10 %. What he has written is one draw of the rig's seed.
 """
 
 import json
@@ -12,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from tilth.schemas.flow import Mount
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine import Machine, Tractor, Tyre
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator import noise
 from tilth.simulator.fleet import FleetRig
@@ -22,7 +23,9 @@ TAPE: Final = 0.01  # m, sd of a length and of each coordinate of an antenna
 TRACTOR_MASS: Final = (0.01, 0.01)  # sd of what is written, and as it is told; shares
 IMPLEMENT_MASS: Final = (0.04, 0.05)
 INERTIA: Final = (0.05, 0.05)
+DEFLECTION: Final = 0.1  # of a tyre; a share
 CG_HEIGHT: Final = 0.04  # m
+DESCRIBED: Final = 0.5  # share of owners who tell what a machine file need not have
 CORNERING: Final = 6.0  # 1/rad, rule of thumb: stiffness of an axle over its load
 RELAXATION: Final = 1.6  # the same: relaxation length over radius
 LIMIT: Final = 2.5  # sd; who is further off measures again
@@ -40,11 +43,16 @@ def true_machine(rig: FleetRig, first_name: int = STAR_FIRE) -> Machine:
 def owners_text(rig: FleetRig, first_name: int = STAR_FIRE, *, exact: bool = False) -> str:
     """The machine file as TOML. first_name: NAME of the first receiver: STAR_FIRE or NMEA_2000. exact: with
     the true numbers, and the owner's sds."""
-    off = np.clip(generator(rig.seed, noise.FLEET_FILE).standard_normal(NUMBERS), -LIMIT, LIMIT)
-    return text_of(_raw(rig, first_name, off * (not exact), told=1.0))
+    rng = generator(rig.seed, noise.FLEET_FILE)
+    off = np.clip(rng.standard_normal(NUMBERS), -LIMIT, LIMIT) * (not exact)
+    raw = _raw(rig, first_name, off, told=1.0)
+    if rng.random() < DESCRIBED:
+        _describe(raw, rig, off[-DESCRIBING:])
+    return text_of(raw)
 
 
-NUMBERS: Final = 11 + 3 * len(Mount)  # that the owner measures
+DESCRIBING: Final = 9  # of them in `_describe`
+NUMBERS: Final = 11 + 3 * len(Mount) + DESCRIBING  # that the owner measures
 
 
 def _raw(rig: FleetRig, first_name: int, off: np.ndarray, told: float) -> Raw:
@@ -97,6 +105,30 @@ def _raw(rig: FleetRig, first_name: int, off: np.ndarray, told: float) -> Raw:
             "not_available": 0x7FFF, "zero": {"value": 0.0, "sd": 0.5}, "delay": 0.01,
         },
     }  # fmt: skip
+
+
+def _describe(raw: Raw, rig: FleetRig, off: np.ndarray) -> None:
+    """Add what a machine file need not have, as far as its sections have keys for it. off: errors in sds,
+    (DESCRIBING,)."""
+    errors = iter(off.tolist())
+
+    def taped(true: float) -> Raw:
+        return {"value": round(max(true + TAPE * next(errors), TAPE), 3), "sd": TAPE}
+
+    rear = rig.tyres[1]
+    outer = taped(rear.track + 2 * rear.twin_spacing)
+    tractor = {
+        "hitch_height": taped(rig.tractor.hitch_height),
+        "pivot_height": taped(rig.tractor.pin_height),
+        "suspended_front_axle": rig.tractor.suspension is not None,
+    }
+    raw["tractor"] |= {key: told for key, told in tractor.items() if key in Tractor.model_fields}
+    for axle, tyre in zip(("front", "rear", "implement"), rig.tyres, strict=True):
+        by = tyre.deflection * (1.0 + DEFLECTION * next(errors))
+        pressed_in = {"value": round(by, 4), "sd": round(DEFLECTION * by, 4)}
+        keys = {"track": taped(tyre.track), "deflection": pressed_in}
+        keys |= {"dual_track": outer} if tyre.twin_spacing else {}
+        raw["tyres"][axle] |= {key: told for key, told in keys.items() if key in Tyre.model_fields}
 
 
 def text_of(raw: Mapping[str, Any]) -> str:

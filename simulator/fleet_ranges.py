@@ -104,6 +104,7 @@ _OTHERS: Final[tuple[tuple[str, float, float, str, str], ...]] = (
     ("play", 0.0, 0.15, "deg", "of wheel sensors' linkages"),
     ("bend", -0.01, 0.01, "1", "how far a wheel sensor's gain bends to 30 degrees"),
     ("latency", 0.05, 0.15, "s", "of receivers: the machine file's default 0.10 with sd 0.05"),
+    ("base_jump", 0.01, 0.03, "m", "of all positions, where another base takes over or it is surveyed anew"),
     ("speed", 3.0, 5.0, "m/s", "field work"),
     ("antennas_apart", 1.2, 2.6, "m", "of a pair; as far apart as the body is long at most"),
     ("roof", 1.9, 2.3, "m", "antennas of a tractor above its centre of gravity: on cab and hood"),
@@ -115,6 +116,7 @@ CHANCES: Final = (
     DrawnRange(
         ANY, "roll_corrected", 0.3, 0.3, "chance", "the tractor's receivers report the point on the ground"
     ),
+    DrawnRange(ANY, "base_moves", 0.2, 0.2, "chance", "a base that is not one's own"),
     DrawnRange("utility", "suspended", 0.2, 0.2, "chance", "an option"),
     DrawnRange("row_crop", "suspended", 0.5, 0.5, "chance", "usual in Europe"),
     DrawnRange("heavy", "suspended", 0.7, 0.7, "chance", "nearly standard"),

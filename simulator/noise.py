@@ -12,7 +12,7 @@ BLOCK: Final = 256
 
 # Streams: what a generator is for. `receivers` and `common` take one number more.
 (PARAMETERS, STEERING, SPEED, NUISANCES, RECEIVERS, WHEEL, COMMON, OTHERS, GEOMETRY, GROUND, SOIL, BELIEF,
- DROP_OUT, SPATIAL, ROLL, WHEEL_SPEED, FLEET, FLEET_FILE, AUTOSTEER) = range(1, 20)  # fmt: skip
+ DROP_OUT, SPATIAL, ROLL, WHEEL_SPEED, FLEET, FLEET_FILE, AUTOSTEER, BASE) = range(1, 21)  # fmt: skip
 
 
 def generator(seed: int, *stream: int) -> np.random.Generator:

@@ -29,6 +29,7 @@ FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be co
 POSITION_WHITE = 0.008  # m, per axis
 POSITION_OWN = (0.007, 20.0)  # m and s of each receiver's slow error
 POSITION_COMMON = (0.015, 100.0)  # m and s of the error that all share
+BASE_S = 100.0  # between jumps of the base, mean
 VELOCITY = 0.03  # m/s, per axis
 YAW_RATE = np.radians(0.18)
 HEADING = np.radians(0.3)
@@ -305,6 +306,7 @@ def _position_errors(
     n, step = len(epochs), float(epochs[1] - epochs[0]) if len(epochs) > 1 else 0.1
     common_step = 0.1  # its own grid: the same for every receiver, whatever its period
     length = int(run.time[-1] / common_step) + 2
+    jumps = _base_jumps(run, epochs)
     result = []
     for axis in range(2):
         common = gauss_markov(
@@ -313,5 +315,15 @@ def _position_errors(
         own = gauss_markov(rng, *POSITION_OWN, step, n) + rng.normal(0.0, POSITION_WHITE, n)
         shared = np.interp(epochs, np.arange(length) * common_step, common)
         worse = worse_m * gauss_markov(rng, 1.0, 30.0, step, n)
-        result.append(run.scenario.noise * (own + shared) + worse)
+        result.append(run.scenario.noise * (own + shared) + worse + jumps[:, axis])
     return result[0], result[1]
+
+
+def _base_jumps(run: Truth | Setting, epochs: Array) -> Array:
+    """How far the base is from where it began, north and east, m, shape (n, 2); alike for all receivers."""
+    rng = generator(run.seed, streams.BASE)
+    times = np.cumsum(rng.exponential(BASE_S, 2 + int(4 * run.time[-1] / BASE_S)))
+    bearing = rng.uniform(0.0, 2 * np.pi, len(times) + 1)
+    places = run.scenario.link.base_jump * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    places[0] = 0.0
+    return np.asarray(places[np.searchsorted(times, epochs)])

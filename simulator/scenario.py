@@ -320,6 +320,7 @@ class ReceiverLink:
 
     jitter: Annotated[float, Field(ge=0, le=0.2)] = 0.0015  # s, mean of what is added to the latency
     drop_out: Share = 0.0  # of the epochs that are never sent
+    base_jump: Annotated[float, Field(ge=0, le=1)] = 0.0  # m, by which the base moves all positions, at times
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

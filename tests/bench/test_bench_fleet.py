@@ -41,10 +41,13 @@ def _made(z: float, sd: float, count: int = 60) -> list[fleet.Result]:
     rng, made = np.random.default_rng(1), []
     for k in range(count):
         cell = cell_of(k)
+        error = z * sd * rng.standard_normal(6)
         said = {
-            "error": (z * sd * rng.standard_normal(6)).tolist(),
+            "error": error.tolist(),
             "sd": [sd] * 6,
-            "given": [True, k % 10 > 0],
+            "last": [[off, sd] for off in error.tolist()],
+            "given": [True, k % 10 > 0, True],
+            "reasons": [""] * 6,
         }
         made.append({
             "row": "fleet", "seed": k, "first": 0, "scale": 1.0, "rig": k, "tractor": "heavy",
@@ -70,7 +73,7 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, sd: float, held
 
 def test_a_number_that_is_far_off_is_named_with_its_drive() -> None:
     made = _made(1.0, 0.05, 4)
-    made[2]["methods"]["pem"]["error"][2] = 0.05 * 4.5
+    made[2]["methods"]["pem"]["last"][2][0] = 0.05 * 4.5
     (line,) = (line for line in fleet.lines_of(made) if line.figure == "far off: pem C_ai")
     assert line.reached.startswith("+4.5 sd") and "rig 2" in line.reached
 
@@ -82,6 +85,15 @@ def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.Monkey
     assert made["rig"] == 0 and {"pem", "tracker"} <= made["methods"].keys()
     monkeypatch.setattr(fleet, "drawn", None)
     fleet.row(0, bench)  # not driven again
+
+
+def test_a_number_that_is_withdrawn_is_judged_as_it_was_given_last() -> None:
+    rows = np.full((4, 13), np.nan)
+    rows[:, 0] = range(4)
+    rows[1, 1:], rows[2, 1], rows[2, 7] = 1.0, 2.0, 0.5  # of the second time only C_af is given again
+    last = np.array(fleet._last(rows, np.zeros(6)))
+    assert last.tolist() == [[2.0, 0.5], *([[1.0, 1.0]] * 5)]
+    assert np.isnan(fleet._last(rows[:1], np.zeros(6))).all()
 
 
 # The other benches on it.

@@ -104,7 +104,7 @@ def test_the_owner_errs_by_what_he_tells() -> None:
     off: dict[str, list[float]] = {}
     for rig in MANY:
         true, told = true_machine(rig), _owner(rig)
-        assert not unusual(told)
+        assert not [text for text in unusual(told) if not text.startswith("tyres.implement")]  # empty ones
         for name, (of, sd) in LENGTHS.items():
             off.setdefault(name, []).append((of(told).value - of(true).value) / sd)
             assert (of(told).sd, of(true).sd) == (sd, 0.0)
@@ -162,3 +162,13 @@ def test_a_rig_of_the_fleet_can_be_driven(plant: Literal["planar", "spatial"], s
     truth = drive(true_machine(rig), seed, 8.0, scenario)
     assert np.abs(truth.tractor.roll).max() < math.radians(10.0)
     assert truth.tractor.forward_velocity.mean() == pytest.approx(rig.speed, rel=0.1)
+
+
+def test_every_other_owner_tells_what_a_file_need_not_have() -> None:
+    """As far as the machine file has keys for it; what else he tells is the same."""
+    for rig in MANY[:40]:
+        machine = parse_machine(owners_text(rig))
+        for tyre, true in zip((machine.tyres.front, machine.tyres.rear), rig.tyres, strict=False):
+            for key in ("track", "deflection"):
+                told = getattr(tyre, key, None)
+                assert told is None or told.value == pytest.approx(getattr(true, key), abs=0.03)

@@ -313,6 +313,22 @@ def test_the_gain_of_the_wheel_sensor_bends_alike_to_both_sides(machine: Machine
     assert ratio == pytest.approx([1.01, 1.02])
 
 
+def test_the_base_moves_all_positions_at_once(machine: Machine) -> None:
+    still, moved = (
+        drive(machine, 4, 300.0, Scenario(steering=((1.0, 0.0),), link=ReceiverLink(base_jump=jump)))
+        for jump in (0.0, 0.03)
+    )
+    off = []
+    for receiver in machine.receiver[:2]:
+        rows = [_plane(reports(machine, truth, receiver, 0.5)) for truth in (still, moved)]
+        off.append(rows[1] - rows[0])
+    np.testing.assert_allclose(off[0], off[1], atol=1e-6)
+    far = np.hypot(*off[0].T)
+    assert far[0] == pytest.approx(0.0, abs=1e-6) and far.max() == pytest.approx(0.03, abs=1e-6)
+    jumps = np.abs(np.diff(off[0], axis=0)).max(axis=1) > 1e-3
+    assert 1 <= jumps.sum() <= 8
+
+
 def test_noise_has_the_stated_size(machine: Machine) -> None:
     receiver = machine.receiver[2]
     straight = Scenario(steering=((1.0, 0.0),), latency_s={receiver.mount: 0.1})
