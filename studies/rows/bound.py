@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.free_noise import gradient_and_information, regress
+from tilth.estimator.filters.free_noise import gradient_and_information, likeliest_spread, regress
 from tilth.estimator.filters.unknowns import UNKNOWNS, ActsAs
 from tilth.estimator.models.roll_stiffness import nominal_roll
 from tilth.estimator.models.rolling import empty_motion, rates
@@ -37,6 +37,9 @@ EPOCH_S: Final = 0.2
 TICKS: Final = round(EPOCH_S / DT)
 PAST: Final = 1.2  # reach of the past, over the way from the front to the last axle
 ORDERS: Final = (10, 25)  # epochs of the past, least and most
+SPREADS: Final = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
+"""Of the coefficients of the past, of which the likeliest is taken: a bound must not assume how smooth the
+ground is."""
 SETTLING_S: Final = 10.0  # in which the filter only finds its state
 Y: Final = len(STATES)  # place of the CG's way across the row, after the model's states
 N_MOTION: Final = Y + 1
@@ -80,6 +83,7 @@ class Bound:
     step: Array  # (6,), one Newton step from the truth, logarithms: as large as sd where all is as modelled
     unexplained: float  # 1 - R^2 of the wheel angle on past innovations, adjusted
     wheel_rms: float  # rad
+    spread: float  # of the coefficients of the past, the likeliest
 
 
 def in_order(machine: Machine) -> list[Receiver]:
@@ -336,7 +340,9 @@ def bound_of(
     way = rig.a + rig.c + rig.d + rig.e
     order = int(np.clip(np.ceil(PAST * way / u / EPOCH_S), *ORDERS))
     made = whitened(point, u, np.concatenate([left, slopes], axis=2))[round(SETTLING_S / EPOCH_S) - order :]
-    noise = regress([made[:, :, 0]], order)
+    innovations = [made[:, :, 0]]
+    spread = likeliest_spread(innovations, order, SPREADS)
+    noise = regress(innovations, order, spread)
     gradient, told = gradient_and_information(noise, [-made[:, :, 1:]])
     covariance = np.linalg.inv(told + np.diag(known_before**-2))
     wheel = truth.wheel_angle[samples[round(SETTLING_S / EPOCH_S) :]]
@@ -345,4 +351,5 @@ def bound_of(
         -(covariance @ gradient)[:6],
         noise.share_of_own(wheel),
         float(np.std(wheel)),
+        spread,
     )
