@@ -15,7 +15,7 @@ from tilth.schemas.reasons import Code, Reason
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
 """Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
-from which neither can learn. No other method is recommended; of `rows` too little is measured (docs/rows.md)."""
+from which neither can learn. No other method is recommended; of `rows` too little is known (docs/rows.md)."""
 
 
 @dataclass(frozen=True, slots=True)
