@@ -2,9 +2,8 @@
 
     python bench/copies.py [DRIVE …] [--copies NAME,…] [--out FILE]
 
-A DRIVE is `planar:SEED` or `spatial:SEED`, drawn as the rows of bench/spatial_logs.py are, with the packaged machine
-or that of `:MACHINE.toml` behind it, or LOG:MACHINE.toml.
-Its copies are the same frames
+A DRIVE is `planar:SEED` or `spatial:SEED`, drawn as the rows of bench/spatial_logs.py are, with the packaged
+machine or that of `:MACHINE.toml` behind it, or LOG:MACHINE.toml. Its copies are the same frames
 
 at LATITUDE   at another place on Earth, so that degrees are rounded otherwise (1e-7°, 3 mm rms)
 shifted       taken 3 ms later by the computer's clock
@@ -21,7 +20,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -40,7 +39,7 @@ from tilth.estimator.methods import pem
 from tilth.estimator.record.record import EAST, KIND, NORTH, VALUE, Record
 from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
-from tilth.schemas.flow import PARAMETERS, Estimate, Frame
+from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.noise import generator
@@ -55,12 +54,8 @@ SHIFT_NS: Final = 3_000_000
 NEAR_NS: Final = 2_000_000
 ROUNDING_M: Final = 6_378_137.0 * math.radians(1e-7)
 PLACES: Final = {
-    "42": (42.0, -93.6),
-    "-17": (-17.3, -63.1),
-    "68": (68.2, 24.4),
-    "0": (0.0, 37.0),
-    "-45": (-45.1, 169.2),
-}
+    "42": (42.0, -93.6), "-17": (-17.3, -63.1), "68": (68.2, 24.4), "0": (0.0, 37.0), "-45": (-45.1, 169.2),
+}  # fmt: skip
 USUAL: Final = ("as it is", "at 42", "at 68", "shifted", "reordered")
 SINGLE: Final = {65267: (32, -210.0, False), 129025: (32, 0.0, True)}  # PGN: bits, offset, signed
 FAST: Final = 129029  # its two words of 64 bits begin at bytes 7 and 15 of the payload
@@ -82,12 +77,12 @@ def placed(given: Sequence[Frame], latitude: float, longitude: float) -> list[Fr
     for (k, pgn), here in zip(found, degrees, strict=True):
         if np.all(np.abs(here) < [90.0, 180.0]):
             out[k] = replace(given[k], data=_with_degrees(pgn, *move(here[0], here[1])))
-    for k, payload in _fast(given):
+    for pieces, payload in _fast(given):
         at = [int.from_bytes(payload[b : b + 8], "little", signed=True) * 1e-16 for b in (7, 15)]
         if abs(at[0]) < 90.0 and abs(at[1]) < 180.0:
             words = (round(word * 1e16).to_bytes(8, "little", signed=True) for word in move(*at))
             payload = payload[:7] + b"".join(words) + payload[23:]
-            for n, place in enumerate(k):
+            for n, place in enumerate(pieces):
                 piece = payload[:6] if n == 0 else payload[7 * n - 1 : 7 * n + 6]
                 kept = 2 if n == 0 else 1
                 data = given[place].data
@@ -112,13 +107,11 @@ def _with_degrees(pgn: int, latitude: float, longitude: float) -> bytes:
     return b"".join(word.to_bytes(4, "little", signed=signed) for word in words)
 
 
-def _mover(origin: tuple[float, float], there: tuple[float, float]) -> Any:
-    of = [
-        Transformer.from_crs(
-            "EPSG:4326", f"+proj=aeqd +lat_0={at[0]} +lon_0={at[1]} +datum=WGS84", always_xy=True
-        )
-        for at in (origin, there)
-    ]
+def _mover(
+    origin: tuple[float, float], there: tuple[float, float]
+) -> Callable[[float, float], tuple[float, float]]:
+    planes = (f"+proj=aeqd +lat_0={at[0]} +lon_0={at[1]} +datum=WGS84" for at in (origin, there))
+    of = [Transformer.from_crs("EPSG:4326", plane, always_xy=True) for plane in planes]
 
     def move(latitude: float, longitude: float) -> tuple[float, float]:
         east, north = of[0].transform(longitude, latitude)
@@ -159,10 +152,8 @@ def reordered(given: Sequence[Frame], seed: int) -> list[Frame]:
         a, b = out[k], out[k + 1]
         near = b.t_ns - a.t_ns < NEAR_NS and a.bus == b.bus
         if near and a.can_id & 0xFF != b.can_id & 0xFF and rng.random() < 0.5:
-            out[k], out[k + 1] = (
-                replace(b, t_ns=a.t_ns, rx_ns=a.rx_ns),
-                replace(a, t_ns=b.t_ns, rx_ns=b.rx_ns),
-            )
+            out[k] = replace(b, t_ns=a.t_ns, rx_ns=a.rx_ns)
+            out[k + 1] = replace(a, t_ns=b.t_ns, rx_ns=b.rx_ns)
             k += 1
         k += 1
     return out
@@ -236,11 +227,8 @@ def followed(machine: Machine, given: Sequence[Frame], name: str) -> tuple[Copy,
         for publication in publications:
             if isinstance(publication.value, Estimate):
                 last[publication.value.method] = publication.value
-        if (
-            math.isnan(first_s)
-            and "pem" in last
-            and any(p.value is not None and p.status == 1 for p in last["pem"].parameters)
-        ):
+        told = last["pem"].parameters if "pem" in last else ()
+        if math.isnan(first_s) and any(p.status is Status.ESTIMATED for p in told):
             first_s = (last["pem"].t_ns - first_ns) * 1e-9
 
     def request(t_ns: int) -> None:
@@ -365,9 +353,15 @@ def _tell(name: str, found: Summary, off: Array) -> None:
     worst = np.nanmax(np.abs(np.nan_to_num(off)), axis=0)
     each = " ".join(f"{PARAMETERS[k]} {worst[k]:.2f}" for k in range(6))
     differ = f", {found.statuses} differ in status" if found.statuses else ""
-    print(
-        f"  {name:24s} {found.within:4.0%} within {SPREAD_SD}, furthest {found.furthest:.2f} sd ({each}){differ}"
-    )
+    differ += f", along {flat_direction(off)}" if found.furthest > SPREAD_SD else ""
+    share = f"{found.within:4.0%} within {SPREAD_SD}"
+    print(f"  {name:24s} {share}, furthest {found.furthest:.2f} sd ({each}){differ}")
+
+
+def flat_direction(off: Array) -> str:
+    """Along which direction of the six, in sds, copies differ most; off: (k, 6) as `deviations`."""
+    direction = np.linalg.svd(np.nan_to_num(off))[2][0]
+    return " ".join(f"{w:+.1f} {p}" for w, p in zip(direction, PARAMETERS, strict=True) if abs(w) > 0.2)
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -380,7 +374,7 @@ def main(words: Sequence[str] | None = None) -> None:
     found: list[dict[str, Summary]] = []
     for drive in args.drives:
         machine, given = drive_named(drive)
-        copies, first_jobs = [], []
+        copies, first_jobs = [], list[pem.Job]()
         for name in args.copies.split(","):
             copy, jobs = followed(machine, copy_of(given, name), name)
             copies.append(copy)
@@ -402,9 +396,8 @@ def _total(name: str, found: Sequence[Summary]) -> None:
     count = sum(s.numbers for s in found)
     within = sum(s.within * s.numbers for s in found) / max(count, 1)
     furthest, differ = max((s.furthest for s in found), default=0.0), sum(s.statuses for s in found)
-    print(
-        f"  {name:24s} {within:4.0%} of {count} within {SPREAD_SD}, furthest {furthest:.2f} sd, {differ} statuses"
-    )
+    share = f"{within:4.0%} of {count} within {SPREAD_SD}"
+    print(f"  {name:24s} {share}, furthest {furthest:.2f} sd, {differ} statuses")
 
 
 if __name__ == "__main__":
