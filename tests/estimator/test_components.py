@@ -48,7 +48,6 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "calibration/assignment": ("PAIRINGS",),
     "calibration/calibrate": ("AS_STATED",),
     "calibration/changes": ("BODY",),
-    "diagnosis/widening": ("_MASS_INSTEAD",),
     "diagnosis/information": ("FORWARD", "KINDS"),
     "rig/residuals": ("HITCH",),
     "calibration/steering_response": ("NO_LIMIT",),
