@@ -66,7 +66,7 @@ class StraightTuning:
 
     small: float = tuned(1e-4, "rad, m/s", "state at which slopes by unknowns are taken, in proportion to it")
     spacing: float = tuned(0.4, "m/s", "between tabulated speeds")
-    terms: int = tuned(10, "terms", "of the exponential's series")
+    terms: int = tuned(10, "1", "terms of the exponential's series")
 
 
 STRAIGHT: Final = StraightTuning()
