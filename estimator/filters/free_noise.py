@@ -89,7 +89,7 @@ def likeliest_spread(stretches: Sequence[Array], order: int, spreads: Sequence[f
         seen = solve_triangular(root, across, lower=True, check_finite=False)
         _, left = np.linalg.slogdet(total - seen.T @ seen)
         determinant = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(prior)))
-        return outputs * determinant + len(now) * float(left)
+        return float(outputs * determinant + len(now) * left)
 
     return min(spreads, key=cost)
 
