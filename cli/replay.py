@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
@@ -261,6 +262,9 @@ def _table(title: str, estimate: Estimate) -> Table:
         unit = "N/rad" if name.startswith("C_") else "m"
         value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
         table.add_row(name, value_text, p.status.name.lower(), sentence(p.reason))
+    if (own := estimate.own_steering) is not None:
+        told = f"{100 * own.share:.0f} % of it, {math.degrees(own.rms):.2f}° rms"
+        table.add_row("wheel angle in rows that is the steering's own", told, "measured", "")
     for name, (value, sd) in estimate.nuisances.items():
         table.add_row(f"{WORDS[name].words} ({name})", nuisance_text(name, value, sd) + SAYS, "nuisance", "")
     return table

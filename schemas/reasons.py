@@ -95,7 +95,6 @@ class Code(StrEnum):
     FIRST_THOUGH_OLD = "first_though_old"
     SOIL_CHANGED_SINCE = "soil_changed_since"
     """numbers: s since the change."""
-    ROWS_TELL_MORE = "rows_tell_more"
     WINDOW_OLD = "window_old"
     """numbers: s since pem's last window."""
     NO_WINDOW = "no_window"

@@ -9,6 +9,7 @@ the east of the row, which goes north. Behind it the filter has what the ground 
 errors: KEPT of its states, (25,), those that are across the row.
 """
 
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,6 +47,7 @@ from tilth.estimator.filters.transition import empty_transition
 from tilth.estimator.filters.unknowns import N_UNKNOWNS
 from tilth.estimator.models.rolling import rates_by_parameter
 from tilth.estimator.record.record import HEADING, ROLL_ANGLE, YAW_RATE, U
+from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
@@ -56,9 +58,19 @@ N_SENSORS: Final = (ROLL_ANGLE + 1) * PLACES  # by kind and place
 KEPT: Final = [k for k, name in enumerate(STATES) if "north" not in name and name != "speed"]
 STEERED: Final = [*range(X_DISTURBANCE), X_POSITION + 1]
 NOBODY: Final = np.zeros(0, np.int64)
-SMALL: Final = 1e-4  # rad, m/s: where slopes by unknowns are taken, in proportion to the state
-SPACING: Final = 0.4  # m/s, between tabulated speeds
-TERMS: Final = 10  # of the exponential's series
+
+
+@dataclass(frozen=True, slots=True)
+class StraightTuning:
+    """Numerics of the model about straight driving."""
+
+    small: float = tuned(1e-4, "rad, m/s", "state at which slopes by unknowns are taken, in proportion to it")
+    spacing: float = tuned(0.4, "m/s", "between tabulated speeds")
+    terms: int = tuned(10, "1", "terms of the exponential's series")
+
+
+STRAIGHT: Final = StraightTuning()
+SMALL: Final = STRAIGHT.small  # kernels read globals; a record is none for them
 
 
 class StraightRates(NamedTuple):
@@ -171,7 +183,7 @@ def variances_at_first(u: float, unknowns: Array, setup: RigSetup) -> Array:
 def tabulated(ticks: Array) -> Array:
     """Speeds, (s,), m/s, that go with the ticks of records, (n, 8) as record.Record; two or more."""
     low, high = float(ticks[:, U].min()), float(ticks[:, U].max())
-    return np.linspace(low, max(high, low + SPACING / 2), 2 + int((high - low) / SPACING))
+    return np.linspace(low, max(high, low + STRAIGHT.spacing / 2), 2 + int((high - low) / STRAIGHT.spacing))
 
 
 def straight_model(speeds: Array, unknowns: Array, setup: RigSetup, places: Places) -> StraightModel:
@@ -209,7 +221,7 @@ def _filter_step(u: float, rates_x: Array, processes: Processes) -> Array:
     F[:X_DISTURBANCE, :X_DISTURBANCE] = F[X_POSITION + 1, X_POSITION + 1] = 0.0
     F[np.ix_(BANK_STATES, BANK_STATES)] = processes.bank
     A, power, held = DT * rates_x[:, :X_DISTURBANCE], np.eye(X_DISTURBANCE), np.zeros((X_DISTURBANCE,) * 2)
-    for order in range(1, TERMS + 1):
+    for order in range(1, STRAIGHT.terms + 1):
         held += DT * power / order
         power = power @ A / order
     change = held @ rates_x
@@ -231,7 +243,7 @@ def _over_a_tick(A: Array, A_unknowns: Array) -> tuple[Array, Array]:
     M[:-1], dM[:, :-1] = DT * A, DT * A_unknowns[acting]
     power, found = np.eye(size), np.eye(size)
     slope, total = np.zeros_like(dM), np.zeros_like(dM)
-    for order in range(1, TERMS + 1):
+    for order in range(1, STRAIGHT.terms + 1):
         slope = (slope @ M + power @ dM) / order
         power = power @ M / order
         found, total = found + power, total + slope

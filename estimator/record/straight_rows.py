@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.record.record import PSI, TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
 from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code
@@ -31,7 +32,7 @@ class RowTuning:
 
 ROWS: Final = RowTuning()
 
-_SEGMENT_S: Final = 0.2
+_SEGMENT_S: Final = ALIGNMENT.pose_ns * 1e-9
 SHORTEST: Final = round(ROWS.shortest_s / _SEGMENT_S)
 
 

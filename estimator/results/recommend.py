@@ -15,8 +15,7 @@ from tilth.schemas.reasons import Code, Reason
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
 """Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
-from which neither can learn. No other method is recommended, but for ROWS where they tell more."""
-ROWS: Final = "rows"
+from which neither can learn. No other method is recommended; of `rows` too little is known (docs/rows.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +90,6 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
     """(estimate, rule by which it is chosen), best first; one method may come twice."""
     sound = [estimates[m] for m in PREFERRED if m in estimates and _is_finite(estimates[m])]
     by_method = {e.method: e for e in sound}
-    yield from _by_rows(estimates, by_method)
     pem, tracker = by_method.get("pem"), by_method.get("tracker")
     if tracker is not None and pem is not None and _usable_parameters(tracker, Status.ESTIMATED):
         age, change = _age(pem), _since_change(estimates)
@@ -108,28 +106,6 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
     for estimate in sound:
         if _usable_parameters(estimate):
             yield estimate, Reason(Code.FIRST_THOUGH_OLD, (estimate.method, *(e.method for e in sound)))
-
-
-def _by_rows(
-    estimates: Mapping[str, Estimate], others: Mapping[str, Estimate]
-) -> Iterator[tuple[Estimate, Reason]]:
-    """Rows, where they know all six better than any other method does, and contradict none.
-
-    Rows have many times the data of the turns at their ends, in the range in which a controller uses the
-    numbers.
-    """
-    rows = estimates.get(ROWS)
-    if rows is None or not _is_finite(rows) or len(_usable_parameters(rows, Status.ESTIMATED)) < 6:
-        return
-    if _since_change(estimates) < _age(rows):
-        return
-    known = [e for e in others.values() if _usable_parameters(e, Status.ESTIMATED)]
-    for other in known:
-        distance, shared = _distance(rows, other)
-        variances = [sum(e.log_covariance[k * 7] for k in _usable_parameters(other)) for e in (rows, other)]
-        if not distance <= RECOMMENDATION.disagree_above[shared] or variances[0] >= variances[1]:
-            return
-    yield rows, Reason(Code.ROWS_TELL_MORE, (ROWS, *(e.method for e in known)))
 
 
 def _since_change(estimates: Mapping[str, Estimate]) -> float:

@@ -94,7 +94,6 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window of pem",
-    Code.ROWS_TELL_MORE: "{of[0]}: straight rows tell all six, and more than headlands do",
     Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",

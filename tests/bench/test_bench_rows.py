@@ -65,7 +65,7 @@ def test_a_drive_that_could_not_be_driven_is_named() -> None:
 
 def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(runs=1, scale=0.3, kept=tmp_path / "kept.jsonl")
-    said = rows.Fit(np.zeros(6), np.ones(6), 0.5, True)
+    said = rows.Fit(np.zeros(6), np.ones(6), 0.5, None)
     monkeypatch.setattr(rows, "fit", lambda machine, record: said)  # a fit is minutes of this test's time
     lines = rows.row("usual", 0, bench)
     made = json.loads((tmp_path / "kept.jsonl").read_text())

@@ -30,7 +30,9 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     # layouts of arrays, and codes; no limit
     "filters/predictor": ("UNLIMITED",),
     "filters/likelihood": ("NOTHING", "NO_READINGS"),
+    "filters/row_fit": ("OF_BODIES",),
     "filters/soil_change": ("DIRECTIONS",),
+    "filters/straight_driving": ("NOBODY", "PLACES"),
     "filters/tracker_kernel": ("BAD", "GATED", "GROUND", "SENSORS", "USED"),
     "filters/two_step_fit": ("OUTPUT_STATES", "PREDICTOR_STATES"),
     "models/nonlinear": ("DYNAMIC",),

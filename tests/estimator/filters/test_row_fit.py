@@ -28,7 +28,7 @@ def rut(record: Record, rng: np.random.Generator) -> Array:
     at, kinds = record.rows[:, 0].astype(int), record.rows[:, KIND]
     later = 60.0 * (record.rows[:, 3] >= 2) + 20.0 * (kinds == YAW_RATE)
     sizes = np.choose(kinds.astype(int), (0.002, 0.012, 0.0, 0.004, 0.0, 0.001))
-    return sizes * profile[(at + 200 - later).astype(int)] / profile.std()
+    return np.asarray(sizes * profile[(at + 200 - later).astype(int)] / profile.std())
 
 
 def driven(seconds: float, seed: int, point: Array) -> Record:

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from circle import demo_machine
 from logs import DATA
+from rich.console import Console
 
 from tilth.analysis.runs.driving import driving
 from tilth.analysis.runs.run import open_runs
+from tilth.cli.replay import _table
+from tilth.client.received import estimate_of
 from tilth.estimator.methods import rows
 from tilth.estimator.methods.rows import Fit, Job, RowsState
 from tilth.estimator.record.record import Record, Segment, concatenate
@@ -112,6 +115,11 @@ def test_steering_that_only_answers_the_ground_is_withheld_and_said() -> None:
     message = pb.SoilTireEstimate.FromString(channel.encode(found))
     assert message.own_steering.share == pytest.approx(0.2) and message.own_steering.seconds == 110.0
     assert "dither" in message.parameters[0].reason
+    assert estimate_of(channel.encode(found), channel.encoding).own_steering == found.own_steering
+    console = Console(width=160)
+    with console.capture() as shown:
+        console.print(_table("rows", found))
+    assert "20 % of it, 0.10° rms" in shown.get()
 
 
 def test_a_stored_state_goes_on_alike() -> None:
