@@ -59,12 +59,12 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, over: float, he
 
 def test_a_drive_that_could_not_be_driven_is_named() -> None:
     made = [{"rig": 3, "undriven": "it turns over"}]
-    (line,) = rows.lines_of(made)
+    line, *_ = rows.lines_of(made)
     assert line.reached == "rigs [3]"
 
 
 def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(runs=1, scale=0.5, kept=tmp_path / "kept.jsonl")
+    bench = Bench(runs=1, scale=0.3, kept=tmp_path / "kept.jsonl")
     said = rows.Fit(np.zeros(6), np.ones(6), 0.5, None)
     monkeypatch.setattr(rows, "fit", lambda machine, record: said)  # a fit is minutes of this test's time
     lines = rows.row("usual", 0, bench)
