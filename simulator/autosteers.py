@@ -237,7 +237,7 @@ PURSUIT_SUM: Final = 0.3  # m, the most by which the integral moves the target
 
 
 @dataclass(slots=True)
-class Person:
+class ManualSteering:
     """Holds the wheel, and corrects it every now and then."""
 
     feedback: Feedback
@@ -349,4 +349,4 @@ def _manual(
     seen = own * gauss_markov(rng, *PERSON_SEES, STEP_S, n)
     slips = own * PERSON_SLIP * rng.standard_normal(len(instants))
     feedback = Feedback(setting.believed.wheelbase, 0.12, 0.9, 15.0)
-    return Person(feedback, instants, slips, seen, own * PERSON_DEAD), Valve()
+    return ManualSteering(feedback, instants, slips, seen, own * PERSON_DEAD), Valve()

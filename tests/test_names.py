@@ -17,6 +17,7 @@ PACKAGES = (
 SHARED: Mapping[str, str] = {
     "WheelAngle": "a section of the machine file, by its published schema, and what that sensor measures",
     "Job": "what a method asks of the worker, in the module of each method; only that module looks inside",
+    "Fit": "what the worker answers to a job, beside it",
 }
 """Class name -> why two classes may share it."""
 

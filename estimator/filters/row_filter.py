@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 OF_KINDS: Final = np.array(GATES)
 
 
-class Gains(NamedTuple):
+class KeptGains(NamedTuple):
     """What a run of the filter leaves, for each row of a record."""
 
     e: Array  # (m,), innovations
@@ -41,7 +41,7 @@ class Whitened(NamedTuple):
 
     ticks: Array  # (n, 8)
     rows: Array  # (m, 6)
-    gains: Gains
+    gains: KeptGains
     filter: FilterModel
     slots: NDArray[np.int64]  # (m,), of which output of which epoch a row is part; -1 of none
     scales: Array  # (m,), on what belongs there
@@ -65,7 +65,13 @@ def instant_of(row: Array, unknowns: Array) -> float:
 
 @kernel
 def set_gains(
-    ticks: Array, rows: Array, readings: Array, unknowns: Array, model: FilterModel, settling: int, out: Gains
+    ticks: Array,
+    rows: Array,
+    readings: Array,
+    unknowns: Array,
+    model: FilterModel,
+    settling: int,
+    out: KeptGains,
 ) -> None:
     """Run the filter over what is left of the readings, (m,), without steering, and fill out. settling:
     ticks in which nothing is an outlier."""

@@ -18,7 +18,7 @@ from tilth.estimator.filters import likelihood
 from tilth.estimator.filters.free_noise import FreeNoise, gradient_and_information, regress
 from tilth.estimator.filters.newton import newton_step
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.row_filter import Gains, Whitened, respond, set_gains
+from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, set_gains
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
@@ -90,7 +90,7 @@ class RowPosterior(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class WhitenedRow:
     """One row, whitened at the prior's point."""
 
     whitened: Whitened
@@ -101,7 +101,7 @@ class Row:
 
 
 @dataclass(slots=True)
-class Point:
+class RowPoint:
     """Where a search is."""
 
     unknowns: Array  # (n,)
@@ -156,18 +156,18 @@ def epochs_of(instants: Array) -> NDArray[np.int64]:
     return np.asarray(np.floor((instants - begin) / length), np.int64)
 
 
-def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
+def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
     """A row, whose record has no gap, through the filter at a point, (n,), of the unknowns."""
     record = along_north(record)
     rows, ticks = np.ascontiguousarray(record.rows), np.ascontiguousarray(record.ticks)
     wheel, m, speeds = ticks[:, WHEEL_ANGLE], len(rows), tabulated(ticks)
     used = (np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)).astype(np.float64)
-    gains = Gains(np.empty(m), np.empty(m), np.zeros((m, len(KEPT))), np.zeros((m, len(KEPT))), used)
+    gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, len(KEPT))), np.zeros((m, len(KEPT))), used)
     model = filter_model(speeds, point, setup)
     each = Whitened(ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]))
-    steered, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
-    respond(each, straight, _with_zero(point, 0.0), likelihood.NOTHING, steered)
-    left = across_row(record) - steered[:, 0]
+    response, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
+    respond(each, straight, _with_zero(point, 0.0), likelihood.NOTHING, response)
+    left = across_row(record) - response[:, 0]
     set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, gains)
     instants = rows[:, TICK] * DT + rows[:, OFFSET]
     epoch = epochs_of(instants)
@@ -186,7 +186,7 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> Row:
     whitened = each._replace(slots=slots.astype(np.int64), scales=scales)
     present = np.mean(np.asarray(counts.reshape(count, -1) > 0, np.float64), axis=0)
     outputs = np.asarray(e, np.float64).reshape(count, len(OUTPUTS))
-    return Row(whitened, count, outputs, present, wheel[at.astype(np.int64)])
+    return WhitenedRow(whitened, count, outputs, present, wheel[at.astype(np.int64)])
 
 
 class RowFit:
@@ -234,7 +234,7 @@ class RowFit:
         shaped = out.reshape(row.epochs, len(OUTPUTS), -1)[self.skip :, self.outputs]
         return shaped[:, :, 0], shaped[:, :, 1:]
 
-    def at(self, unknowns: Array, zeros: Array) -> Point | None:
+    def at(self, unknowns: Array, zeros: Array) -> RowPoint | None:
         """A point; None where the rig that it is of runs away."""
         left = [
             row.e[self.skip :, self.outputs] - self._respond(k, unknowns, zeros[k])[0] + self.first[k]
@@ -244,12 +244,12 @@ class RowFit:
             return None
         off = self._deviation(unknowns, zeros)
         noise = regress(left, self.order)
-        return Point(unknowns, zeros, noise, noise.cost + 0.5 * float(off @ self.prior_information @ off))
+        return RowPoint(unknowns, zeros, noise, noise.cost + 0.5 * float(off @ self.prior_information @ off))
 
     def _deviation(self, unknowns: Array, zeros: Array) -> Array:
         return np.concatenate([(unknowns - self.mean)[self.active], zeros])
 
-    def slopes(self, at: Point) -> list[Array]:
+    def slopes(self, at: RowPoint) -> list[Array]:
         """Of the innovations by the active unknowns and the zero of each row, (n_i, c, a + r)."""
         places = np.append(self.active, ZERO)
         made = []
@@ -261,7 +261,7 @@ class RowFit:
             made.append(own)
         return made
 
-    def _terms(self, at: Point) -> tuple[Array, Array]:
+    def _terms(self, at: RowPoint) -> tuple[Array, Array]:
         gradient, told = gradient_and_information(at.noise, at.slopes)
         off = self._deviation(at.unknowns, at.zeros)
         return gradient + self.prior_information @ off, told + self.prior_information
@@ -279,7 +279,7 @@ class RowFit:
         self._choose(self.active[telling])
         return self._posterior(*self._search(start))
 
-    def _search(self, at: Point) -> tuple[Point, int, bool, Array]:
+    def _search(self, at: RowPoint) -> tuple[RowPoint, int, bool, Array]:
         """(where it ends, steps, whether it settled, the information there with the prior)."""
         six, moved = self.active < 6, 0.0
         for step in range(1, ROW_FIT.most_steps + 1):
@@ -306,7 +306,7 @@ class RowFit:
                 return at, step, True, self._terms(at)[1]
         return at, ROW_FIT.most_steps, False, self._terms(at)[1]
 
-    def _descend(self, at: Point, change: Array, slope: float) -> Point | None:
+    def _descend(self, at: RowPoint, change: Array, slope: float) -> RowPoint | None:
         """Of the shares of a step the first that lowers the cost, or the lowest point of the parabola through
         it; None without any. slope: of the cost along the step, nats."""
         for share in ROW_FIT.shares:
@@ -318,12 +318,12 @@ class RowFit:
             return between if between is not None and between.cost < then.cost else then
         return None
 
-    def _moved(self, at: Point, change: Array) -> Point | None:
+    def _moved(self, at: RowPoint, change: Array) -> RowPoint | None:
         unknowns = at.unknowns.copy()
         unknowns[self.active] += change[: len(self.active)]
         return self.at(unknowns, at.zeros + change[len(self.active) :])
 
-    def _posterior(self, at: Point, steps: int, converged: bool, information: Array) -> RowPosterior:
+    def _posterior(self, at: RowPoint, steps: int, converged: bool, information: Array) -> RowPosterior:
         """What was not active follows what it was correlated with."""
         active, prior = self.active, self.prior_covariance
         found = likelihood.inverse(information)[: len(active), : len(active)]
@@ -342,7 +342,7 @@ class RowFit:
         )  # fmt: skip
 
 
-def _order(rows: Sequence[Row], setup: RigSetup) -> int:
+def _order(rows: Sequence[WhitenedRow], setup: RigSetup) -> int:
     """Epochs of the past: until the last axle has come to where the first one was."""
     speed = float(np.mean(np.concatenate([row.whitened.ticks[:, U] for row in rows])))
     a, _, c, d, e = setup.geometry[:5]

@@ -57,7 +57,7 @@ class SearchTuning:
     settled_step: float = tuned(0.1, "sd", "of the posterior of the six")
     arrived_step: float = tuned(0.3, "sd", "of the six: remaining step of a stopped search that converged")
     steps_on_ground: int = tuned(
-        1, "step", "at most, of noise levels and roll modes: each is 7 runs and more"
+        1, "steps", "at most, of noise levels and roll modes: each is 7 runs and more"
     )
     steps_apart: int = tuned(8, "steps", "at most, of `_apart`")
     furthest: float = tuned(3.0, "sd", "of any of the six, by which `_apart` may leave the best likelihood")

@@ -56,7 +56,7 @@ EAST_OF_ROW: Final = X_DISTURBANCE  # index of the last state
 PLACES: Final = 4  # of a kind of measurement, at most
 N_SENSORS: Final = (ROLL_ANGLE + 1) * PLACES  # by kind and place
 KEPT: Final = [k for k, name in enumerate(STATES) if "north" not in name and name != "speed"]
-STEERED: Final = [*range(X_DISTURBANCE), X_POSITION + 1]
+RESPONDING: Final = [*range(X_DISTURBANCE), X_POSITION + 1]
 NOBODY: Final = np.zeros(0, np.int64)
 
 
@@ -192,7 +192,7 @@ def straight_model(speeds: Array, unknowns: Array, setup: RigSetup, places: Plac
     steps, slopes = zip(*(_over_a_tick(rates.A, rates.A_unknowns) for rates in made), strict=True)
     return StraightModel(
         speeds, np.stack(steps), np.ascontiguousarray(np.moveaxis(np.stack(slopes), 1, -1)),
-        np.ascontiguousarray(np.stack([rates.H[:, STEERED] for rates in made])),
+        np.ascontiguousarray(np.stack([rates.H[:, RESPONDING] for rates in made])),
         np.ascontiguousarray(np.moveaxis(np.stack([rates.H_unknowns for rates in made]), 1, -1)),
         np.stack([rates.rest for rates in made]),
         np.ascontiguousarray(np.moveaxis(np.stack([rates.offsets for rates in made]), 1, -1)),

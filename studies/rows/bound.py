@@ -61,7 +61,7 @@ its velocity east, and of its yaw rate."""
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class TruePoint:
     """What a row's readings follow from."""
 
     motion: Mapping[str, float]  # of PARAMETERS and CONSTANTS
@@ -76,7 +76,7 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class RowBound:
     """Of one row."""
 
     sd: Array  # (6,), of the logarithms, with what is known before
@@ -94,7 +94,7 @@ def in_order(machine: Machine) -> list[Receiver]:
     return [by_mount[mount] for mount in Mount]
 
 
-def true_point(machine: Machine, truth: Truth) -> Point:
+def true_point(machine: Machine, truth: Truth) -> TruePoint:
     """The rig as it is."""
     rig, told = truth.rig, truth.nuisances
     roll = nominal_roll(machine)._asdict()
@@ -135,10 +135,10 @@ def true_point(machine: Machine, truth: Truth) -> Point:
     ]
     heights = [0.0 if r.roll_corrected else r.position[2] for r in receivers]
     pairs = told["pair_tractor"], told["pair_implement"]
-    return Point(motion, tuple(levers), tuple(heights), pairs=pairs)
+    return TruePoint(motion, tuple(levers), tuple(heights), pairs=pairs)
 
 
-def moved(point: Point, unknown: unknowns.Unknown, by: float) -> Point | None:
+def moved(point: TruePoint, unknown: unknowns.Unknown, by: float) -> TruePoint | None:
     """The point with one of the unknowns changed; None for one that moves nothing here."""
     if unknown.transform is not ActsAs.NONE:
         motion = dict(point.motion)
@@ -195,7 +195,7 @@ def linearised(motion: Mapping[str, float], u: float) -> tuple[Array, Array]:
     return A, B
 
 
-def readings_of(point: Point, u: float) -> Array:
+def readings_of(point: TruePoint, u: float) -> Array:
     """OUTPUTS by states, (8, 13)."""
     m, H = point.motion, np.zeros((OUTPUTS, N_MOTION))
 
@@ -216,7 +216,7 @@ def readings_of(point: Point, u: float) -> Array:
     return H
 
 
-def response(points: Sequence[Point], u: float, wheel_angle: Array, epochs: NDArray[np.int64]) -> Array:
+def response(points: Sequence[TruePoint], u: float, wheel_angle: Array, epochs: NDArray[np.int64]) -> Array:
     """What steering makes of the outputs at each point, (n, 8, m). wheel_angle: rad, DT apart; epochs: (n,),
     samples of it."""
     ticks = []
@@ -237,7 +237,7 @@ def response(points: Sequence[Point], u: float, wheel_angle: Array, epochs: NDAr
     return np.stack([_read(point, u, x[:, k], epochs) for k, point in enumerate(points)], axis=2)
 
 
-def _read(point: Point, u: float, x: Array, epochs: NDArray[np.int64]) -> Array:
+def _read(point: TruePoint, u: float, x: Array, epochs: NDArray[np.int64]) -> Array:
     """Outputs (n, 8) of states (ticks, 13)."""
     y = x[epochs] @ readings_of(point, u).T
     for body, late in enumerate(point.rate_late):
@@ -249,7 +249,7 @@ def _read(point: Point, u: float, x: Array, epochs: NDArray[np.int64]) -> Array:
     return y
 
 
-def whitened(point: Point, u: float, columns: Array) -> Array:
+def whitened(point: TruePoint, u: float, columns: Array) -> Array:
     """Innovations of outputs (n, 8, m) by a filter of the point's motion, each of unit variance."""
     A, B = linearised(point.motion, u)
     grounds, slow = len(PUSHES) + 2, len(SLOW)
@@ -314,7 +314,7 @@ def measured(machine: Machine, truth: Truth, seconds: tuple[float, float]) -> tu
 
 def bound_of(
     machine: Machine, truth: Truth, seconds: tuple[float, float], file: Machine | None = None
-) -> Bound:
+) -> RowBound:
     """Of a stretch (from, to, s) of a row. machine: what was driven; file: whose sds are what is known
     before, the same if None. Raises ValueError where an epoch is missing."""
     y, samples = measured(machine, truth, seconds)
@@ -346,7 +346,7 @@ def bound_of(
     gradient, told = gradient_and_information(noise, [-made[:, :, 1:]])
     covariance = np.linalg.inv(told + np.diag(known_before**-2))
     wheel = truth.wheel_angle[samples[round(SETTLING_S / EPOCH_S) :]]
-    return Bound(
+    return RowBound(
         np.sqrt(np.diag(covariance)[:6]),
         -(covariance @ gradient)[:6],
         noise.share_of_own(wheel),

@@ -8,7 +8,7 @@ from straight_row import raw_response, weaving
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.likelihood import NOTHING
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.row_filter import Gains, Whitened, respond, set_gains
+from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, set_gains
 from tilth.estimator.filters.straight_driving import (
     KEPT,
     N_STRAIGHT,
@@ -27,10 +27,10 @@ MEAN, _ = unknowns.prior(MACHINE)
 SETUP = rig_setup(MACHINE)
 
 
-def gains_for(record: Record, readings: Array, model: FilterModel, settling: int = 10**6) -> Gains:
+def gains_for(record: Record, readings: Array, model: FilterModel, settling: int = 10**6) -> KeptGains:
     m, n = len(record.rows), len(KEPT)
     used = (record.rows[:, KIND] != NORTH).astype(np.float64)
-    out = Gains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), used)
+    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), used)
     set_gains(record.ticks, record.rows, readings, MEAN, model, settling, out)
     return out
 

@@ -9,7 +9,7 @@ import pytest
 from circle import demo_machine
 from numpy.typing import NDArray
 
-from studies.rows.bound import Bound, bound_of, measured, response, true_point
+from studies.rows.bound import RowBound, bound_of, measured, response, true_point
 from studies.rows.own_share import own_of, quiet
 from tilth.simulator.drive import drive, drive_in, driver_in
 from tilth.simulator.scenario import Autosteer, Ground, RowSteering, Scenario
@@ -28,7 +28,7 @@ def scenario(plant: str = "planar", steer: Autosteer = PID, ground: Ground | Non
 
 
 @cache
-def bound(seed: int = 3, seconds: float = 70.0, steer: Autosteer = PID, rough: float = 1.0) -> Bound:
+def bound(seed: int = 3, seconds: float = 70.0, steer: Autosteer = PID, rough: float = 1.0) -> RowBound:
     ground = Ground(force_sd=0.005 * rough, rut=True)
     truth = drive(MACHINE, seed, seconds, scenario(steer=steer, ground=ground))
     return bound_of(MACHINE, truth, (5.0, seconds))
