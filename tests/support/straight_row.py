@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.likelihood import NOTHING
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.row_filter import Gains, Whitened, respond
+from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
 from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE, Record
@@ -50,7 +50,7 @@ def raw_response(record: Record, point: Array, setup: RigSetup, places: Places =
     """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a)."""
     m, speeds = len(record.rows), tabulated(record.ticks)
     zeros = np.zeros((m, len(KEPT)))
-    gains = Gains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
+    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
     whole = Whitened(
         record.ticks, record.rows, gains, filter_model(speeds, point, setup), np.arange(m), np.ones(m),
         np.array([record.ticks[:, 0].mean()]),

@@ -12,7 +12,7 @@ from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, set
 from tilth.estimator.filters.straight_driving import (
     KEPT,
     N_STRAIGHT,
-    STEERED,
+    RESPONDING,
     FilterModel,
     filter_model,
     straight_model,
@@ -91,4 +91,4 @@ def test_an_outlier_is_left_out_and_moves_nothing() -> None:
 
 
 def test_what_steers_is_among_what_is_kept() -> None:
-    assert set(STEERED) <= set(KEPT) and len(STEERED) == N_STRAIGHT
+    assert set(RESPONDING) <= set(KEPT) and len(RESPONDING) == N_STRAIGHT

@@ -54,7 +54,7 @@ def test_a_block_is_fitted_as_it_grows_and_then_begins_anew() -> None:
         ({"folded": 1.1 * ROWS.folded}, Code.NOT_STRAIGHT),
         ({"reason": Code.NO_RTK, "follows": False}, Code.NO_RTK),
         ({"follows": False}, None),
-        ({"heading": 0.3 + 1.1 * ROWS.aside}, None),
+        ({"heading": 0.3 + 1.1 * ROWS.largest_turn}, None),
     ],
 )
 def test_what_ends_a_row(other: dict[str, object], reason: Code | None) -> None:
