@@ -27,7 +27,7 @@ UNITS: Final[dict[str, str]] = {
     "sd_wheel_angle": "rad", "angle": "rad", "curvature": "1/m", "latitude": "deg", "longitude": "deg",
     "altitude": "m", "disk_free_bytes": "byte", "log_bytes": "byte", "hours_left": "h", "d": "m", "e": "m",
     "a": "m", "b": "m", "c": "m", "h_t": "m", "h_i": "m", "m_t": "kg", "m_i": "kg", "I_t": "kg m^2",
-    "I_i": "kg m^2",
+    "I_i": "kg m^2", "rms": "rad", "seconds": "s",
 }  # fmt: skip
 """Of fields whose name does not end with its unit."""
 _IN_NAMES: Final = {"s": "s", "ns": "ns", "m": "m", "deg": "deg"}
@@ -37,7 +37,7 @@ WITHOUT_UNIT: Final = frozenset({
     "condition", "rule", "determined", "advice", "bound", "log_covariance", "kind", "text", "adopted",
     "awaited", "ready", "run", "version", "frames", "measurements", "poses", "recording", "log_file",
     "problems", "health", "resting", "preparing", "frame_id", "state", "fault", "position_covariance_type",
-    "per_s", "what", "machine_sha256",
+    "per_s", "what", "machine_sha256", "share",
 })  # fmt: skip
 """Texts, counts, codes, ratios, natural logarithms."""
 SUFFIXES: Final = {
