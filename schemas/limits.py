@@ -78,7 +78,7 @@ LIMITS: Final[Mapping[str, KeyLimits]] = {
     "tyres.track.sd": _spread(0.3, "m"),
     "tyres.dual_track": KeyLimits(1.2, 6.0, (2.0, 4.5), "m"),
     "tyres.dual_track.sd": _spread(0.3, "m"),
-    "tyres.deflection": KeyLimits(0.003, 0.3, (0.015, 0.13), "m"),
+    "tyres.deflection": KeyLimits(0.003, 0.3, (0.015, 0.16), "m"),
     "tyres.pressure": KeyLimits(0.2, 10.0, (0.4, 6.0), "bar"),
     "receiver.survey_sd": _spread(1.0, "m", 1e-3),
     "receiver.position_sd": KeyLimits(5e-4, 3.0, (0.003, 0.15), "m"),

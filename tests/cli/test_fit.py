@@ -100,7 +100,7 @@ def test_of_logs_of_two_rigs_the_keys_that_differ_are_named(fit: Answer, tmp_pat
     assert "They differ in machine.name" in err and "log.chunk_kilobytes" not in err
 
 
-@pytest.mark.parametrize(("share", "withheld"), [(1.0, False), (0.5, True)])
+@pytest.mark.parametrize(("share", "withheld"), [(1.0, False), (0.3, True)])
 def test_a_fit_says_where_nothing_is_published(
     fit: Answer, tmp_path: Path, share: float, withheld: bool
 ) -> None:
