@@ -192,15 +192,23 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
 class RowFit:
     """The problem of a fit: rows, a prior with its point."""
 
-    def __init__(self, records: Sequence[Record], setup: RigSetup, mean: Array, covariance: Array) -> None:
+    def __init__(
+        self,
+        records: Sequence[Record],
+        setup: RigSetup,
+        mean: Array,
+        covariance: Array,
+        whitened_at: Array | None = None,
+    ) -> None:
         """records: each longer than `least_seconds`. mean: (n,), covariance: (n, n), the prior over
-        unknowns.NAMES."""
+        unknowns.NAMES. whitened_at: (n,), the point of the filter, where the search begins; None: mean."""
         self.setup, self.mean, self.prior_covariance = setup, mean, covariance
-        self.rows = [row_of(record, setup, mean) for record in records]
+        self.whitened_at = mean if whitened_at is None else whitened_at
+        self.rows = [row_of(record, setup, self.whitened_at) for record in records]
         self.order = _order(self.rows, setup)
         present = np.mean([row.present for row in self.rows], axis=0)
         self.outputs = np.flatnonzero(present > ROW_FIT.present)
-        self.first = [self._respond(k, mean, 0.0)[0] for k in range(len(self.rows))]
+        self.first = [self._respond(k, self.whitened_at, 0.0)[0] for k in range(len(self.rows))]
         free = np.diag(covariance) > 0.0
         motion = np.array([name not in NOISES and name != "wheel_zero" for name in NAMES])
         self._choose(np.flatnonzero(free & motion))
@@ -268,9 +276,9 @@ class RowFit:
 
     def maximise(self) -> RowPosterior:
         """The posterior: Gauss and Newton's steps, each as long as lowers the cost."""
-        start = self.at(self.mean, np.zeros(len(self.rows)))
+        start = self.at(self.whitened_at, np.zeros(len(self.rows)))
         if start is None:
-            raise ValueError("the response to the wheel angle runs away at the prior's mean")
+            raise ValueError("the response to the wheel angle runs away where the search begins")
         start.slopes = self.slopes(start)
         _, told = gradient_and_information(start.noise, start.slopes)
         prior = np.diag(self.prior_covariance)[self.active]

@@ -40,7 +40,9 @@ def test_the_whole_drive_gives_what_its_replay_gives() -> None:
         for name, parameter in zip(PARAMETERS, fit.estimates[method].parameters, strict=True):
             unit = "N_per_rad" if name.startswith("C_") else "m"
             assert parameter.value == pytest.approx(last[f"{name}_{unit}"][0], rel=1e-9), (method, name)
-            assert parameter.sd == pytest.approx(last[f"{name}_sd_{unit}"][0], rel=1e-9), (method, name)
+            # A replay's is wider by what may be wrong with the machine file; a fit takes the file as it is.
+            said = "the machine file" in last[f"{name}_reason"][0]
+            assert 1.0 - 1e-9 < last[f"{name}_sd_{unit}"][0] / parameter.sd < (2.0 if said else 1.2), name
 
 
 @pytest.fixture(scope="module")
