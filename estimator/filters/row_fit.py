@@ -1,9 +1,10 @@
 """A fit of straight rows: what the wheel angle does, apart from whatever the ground does.
 
-The filter at the prior's point whitens what the rows measured (row_filter.py). The response to the wheel
-angle is that of its model about straight driving (straight_driving.py), with all unknowns of the motion and
-of the sensors. What is left is regressed on its own past (free_noise.py). The unknowns minimise the cost of
-that and of the prior.
+A filter whitens what the rows measured (row_filter.py). The response to the wheel angle is that of its model
+about straight driving (straight_driving.py), with all unknowns of the motion and of the sensors. What is left
+is regressed on its own past (free_noise.py). The unknowns minimise the cost of that and of the prior. The
+filter stands at the prior's point first, then where the search has ended: where the tyres are far from the
+prior's, and the steering answers the ground, the first one leaves more than its past can explain.
 """
 
 import math
@@ -71,6 +72,13 @@ class RowFitTuning:
     renewed: float = tuned(0.3, "sd", "of the six, that a point moves until slopes are renewed")
     beyond: float = tuned(0.8, "1", "a step whose parabola is lowest before this share went too far")
     shares: tuple[float, ...] = tuned((1.0, 0.5, 0.25, 0.1, 0.03), "1", "of a step, tried one by one")
+    filters: int = tuned(
+        4, "runs", "at most: the first at the prior's point, each other where a search ended"
+    )
+    same_place: float = tuned(0.3, "sd", "of the six, by which two searches in a row end apart at most")
+    spreads: tuple[float, ...] = tuned(
+        (0.3, 1.0, 3.0), "1", "of the past's coefficients, of which the likeliest"
+    )
 
 
 ROW_FIT: Final = RowFitTuning()
@@ -91,7 +99,7 @@ class RowPosterior(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WhitenedRow:
-    """One row, whitened at the prior's point."""
+    """One row, whitened."""
 
     whitened: Whitened
     epochs: int
@@ -348,6 +356,23 @@ class RowFit:
             float(np.sqrt(np.mean(wheel**2))), at.noise.share_of_own(wheel),
             at.cost / len(wheel),
         )  # fmt: skip
+
+
+def fitted(records: Sequence[Record], setup: RigSetup, mean: Array, covariance: Array) -> RowPosterior | None:
+    """The posterior of rows and a prior, (n,) and (n, n), as wide as it depends on where the filter stands;
+    None where too little is measured."""
+    problem = RowFit(records, setup, mean, covariance)
+    if not problem.measured:
+        return None
+    found, apart, steps = problem.maximise(), np.full(len(mean), np.inf), 0
+    for _ in range(ROW_FIT.filters - 1):
+        steps, before = steps + found.steps, found.mean
+        found = RowFit(records, setup, mean, covariance, before).maximise()
+        apart = found.mean - before
+        if np.all(np.abs(apart[:6]) < ROW_FIT.same_place * np.sqrt(np.diag(found.covariance)[:6])):
+            break
+    wide = found.covariance + np.outer(apart, apart)
+    return found._replace(covariance=wide, steps=steps + found.steps)
 
 
 def _order(rows: Sequence[WhitenedRow], setup: RigSetup) -> int:

@@ -188,11 +188,8 @@ def fit(machine: Machine, job: Job) -> Fit:
 def _posterior(machine: Machine, job: Job, mean: Array, covariance: Array) -> row_fit.RowPosterior | None:
     """With the masses of the file, as pem's. None where too little is measured."""
     known = pem.with_known_masses(covariance)
-    problem = row_fit.RowFit(job.rows, rig_setup(machine), mean, known)
-    if not problem.measured:
-        return None
-    found = problem.maximise()
-    return found._replace(covariance=found.covariance + pem.of_masses(covariance))
+    found = row_fit.fitted(job.rows, rig_setup(machine), mean, known)
+    return found and found._replace(covariance=found.covariance + pem.of_masses(covariance))
 
 
 def _refusal(found: row_fit.RowPosterior, own: float, prior_mean: Array, prior_sd: Array) -> Code | None:

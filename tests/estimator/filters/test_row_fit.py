@@ -10,7 +10,7 @@ from straight_row import raw_response, weaving
 
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.row_fit import OUTPUTS, RowFit, across_row, along_north, epochs_of
+from tilth.estimator.filters.row_fit import OUTPUTS, RowFit, across_row, along_north, epochs_of, fitted
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import EAST, KIND, NORTH, PSI, SD, VALUE, VELOCITY, YAW_RATE, Record
 
@@ -98,8 +98,8 @@ def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
     for seed in range(3):
         true = other_tyres(seed)
         rows = [driven(70.0, 10 * seed + k, true) for k in range(2)]
-        found = RowFit(rows, SETUP, MEAN, COVARIANCE).maximise()
-        assert found.converged and found.own_share > 0.9
+        found = fitted(rows, SETUP, MEAN, COVARIANCE)
+        assert found and found.converged and found.own_share > 0.9
         sds = np.sqrt(np.diag(found.covariance))[:6]
         assert np.all(sds[:2] < 0.35) and np.all(np.isfinite(found.covariance))
         assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
