@@ -77,10 +77,11 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> Answer:
 
 
 def _replies(session: zenoh.Session, key: str, payload: str) -> list[zenoh.Reply]:
-    """Of the daemon, [] where it gives none in WAIT_S."""
+    """Of the daemon, [] where it gives none in WAIT_S. An order, which has a payload, is given once."""
     end_s = time.monotonic() + WAIT_S
     while (left_s := end_s - time.monotonic()) > 0:
-        if replies := list(session.get(key, payload=payload, encoding="text/plain", timeout=left_s)):
+        replies = list(session.get(key, payload=payload, encoding="text/plain", timeout=left_s))
+        if replies or payload:
             return replies
         time.sleep(0.1)  # a daemon that has just started has nothing to say on this key yet
     return []

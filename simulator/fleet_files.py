@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from tilth.schemas.flow import Mount
-from tilth.schemas.machine import Machine, Tractor, Tyre
+from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator import noise
 from tilth.simulator.fleet import FleetRig
@@ -108,8 +108,7 @@ def _raw(rig: FleetRig, first_name: int, off: np.ndarray, told: float) -> Raw:
 
 
 def _describe(raw: Raw, rig: FleetRig, off: np.ndarray) -> None:
-    """Add what a machine file need not have, as far as its sections have keys for it. off: errors in sds,
-    (DESCRIBING,)."""
+    """Add what a machine file need not have. off: errors in sds, (DESCRIBING,)."""
     errors = iter(off.tolist())
 
     def taped(true: float) -> Raw:
@@ -117,18 +116,16 @@ def _describe(raw: Raw, rig: FleetRig, off: np.ndarray) -> None:
 
     rear = rig.tyres[1]
     outer = taped(rear.track + 2 * rear.twin_spacing)
-    tractor = {
+    raw["tractor"] |= {
         "hitch_height": taped(rig.tractor.hitch_height),
         "pivot_height": taped(rig.tractor.pin_height),
         "suspended_front_axle": rig.tractor.suspension is not None,
     }
-    raw["tractor"] |= {key: told for key, told in tractor.items() if key in Tractor.model_fields}
     for axle, tyre in zip(("front", "rear", "implement"), rig.tyres, strict=True):
         by = tyre.deflection * (1.0 + DEFLECTION * next(errors))
         pressed_in = {"value": round(by, 4), "sd": round(DEFLECTION * by, 4)}
-        keys = {"track": taped(tyre.track), "deflection": pressed_in}
-        keys |= {"dual_track": outer} if tyre.twin_spacing else {}
-        raw["tyres"][axle] |= {key: told for key, told in keys.items() if key in Tyre.model_fields}
+        raw["tyres"][axle] |= {"track": taped(tyre.track), "deflection": pressed_in}
+        raw["tyres"][axle] |= {"dual_track": outer} if tyre.twin_spacing else {}
 
 
 def text_of(raw: Mapping[str, Any]) -> str:

@@ -74,26 +74,6 @@ def lagged(stretches: Sequence[Array], order: int) -> Array:
     ])  # fmt: skip
 
 
-def likeliest_spread(stretches: Sequence[Array], order: int, spreads: Sequence[float]) -> float:
-    """Of some spreads the one under which innovations are likeliest, with coefficients and covariance of w
-    integrated and maximised out: smooth ground needs large coefficients that cancel, white noise none.
-
-    stretches: as of `regress`.
-    """
-    past, now = lagged(stretches, order), np.concatenate([e[order:] for e in stretches])
-    gram, across, total, outputs = past.T @ past, past.T @ now, now.T @ now, now.shape[1]
-
-    def cost(spread: float) -> float:
-        prior = np.repeat((np.arange(1, order + 1) / spread) ** 2, outputs)
-        root = np.linalg.cholesky(gram + np.diag(prior))
-        seen = solve_triangular(root, across, lower=True, check_finite=False)
-        _, left = np.linalg.slogdet(total - seen.T @ seen)
-        determinant = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(prior)))
-        return float(outputs * determinant + len(now) * left)
-
-    return min(spreads, key=cost)
-
-
 def regress(stretches: Sequence[Array], order: int, spread: float | None = None) -> FreeNoise:
     """Regress innovations, (n_i, c) of each stretch, on their past. Each stretch is longer than `order`.
 

@@ -364,7 +364,7 @@ def fitted(records: Sequence[Record], setup: RigSetup, mean: Array, covariance: 
     problem = RowFit(records, setup, mean, covariance)
     if not problem.measured:
         return None
-    found, apart, steps = problem.maximise(), np.full(len(mean), np.inf), 0
+    found, apart, steps = problem.maximise(), np.zeros(len(mean)), 0
     for _ in range(ROW_FIT.filters - 1):
         steps, before = steps + found.steps, found.mean
         found = RowFit(records, setup, mean, covariance, before).maximise()

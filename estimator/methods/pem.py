@@ -14,7 +14,7 @@ fitted.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Final
+from typing import Annotated, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,17 +212,14 @@ def fit(machine: Machine, job: Job) -> Fit:
         after = found.covariance[SIX, SIX] - np.diag(errors**2)
         chi_square = contradiction(change, covariance[SIX, SIX], after, errors)
     if chi_square > PEM.suspect_chi_square:
-        covariance = covariance.copy()
-        covariance[SIX, :] = covariance[:, SIX] = 0.0
-        covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
-        mean = np.concatenate([prior_mean[SIX], mean[6:]])
+        mean, covariance = of_other_tyres(mean, covariance, prior_mean, prior_sd)
         anew = _posterior(job.record, setup, mean, covariance)
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
         changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
         found = scoring.with_gain(anew, found.gain) if changed else found
     return Fit(
         found.mean, found.covariance, found.information[SIX, SIX], found.gain, found.whiteness, found.cost,
-        found.iterations, found.rows, changed, _refusal(found, prior_mean, prior_sd),
+        found.iterations, found.rows, changed, refusal(found, prior_mean, prior_sd),
     )  # fmt: skip
 
 
@@ -276,6 +273,14 @@ def contradiction(change: Array, before: Array, after: Array, model_sd: Array) -
     return float(np.sum((directions.T @ root @ change) ** 2 / np.maximum(variances, PEM.least_share)))
 
 
+def of_other_tyres(mean: Array, covariance: Array, prior_mean: Array, prior_sd: Array) -> tuple[Array, Array]:
+    """What was learned, (n,) and (n, n), without what was learned of the six."""
+    covariance = covariance.copy()
+    covariance[SIX, :] = covariance[:, SIX] = 0.0
+    covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
+    return np.concatenate([prior_mean[SIX], mean[6:]]), covariance
+
+
 def rehearse(machine: Machine) -> None:
     """A fit of two seconds of straight driving, which compiles all that a fit needs."""
     mean, sd = unknowns.prior(machine)
@@ -284,7 +289,19 @@ def rehearse(machine: Machine) -> None:
     fit(machine, Job(0, 0, Record(0, ticks, rows), mean, np.diag(sd**2)))
 
 
-def _refusal(found: scoring.Posterior, prior_mean: Array, prior_sd: Array) -> Code | None:
+class Found(Protocol):
+    """What a fit ends with."""
+
+    @property
+    def mean(self) -> Array: ...
+    @property
+    def covariance(self) -> Array: ...
+    @property
+    def converged(self) -> bool: ...
+
+
+def refusal(found: Found, prior_mean: Array, prior_sd: Array) -> Code | None:
+    """Why a fit must not be used."""
     if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
         return Code.RESULT_NOT_FINITE
     if not found.converged:

@@ -130,7 +130,7 @@ def take(state: RowsState, machine: Machine, pose: Pose, segment: Segment | None
     state.before_m += driven
     if segment is not None and segment.reason in WAYS_OF_DRIVING and _stale(state, pose.t_ns) is None:
         state.sound_ns = pose.t_ns
-    straight_rows.observe(state.block, segment, 0.0)
+    straight_rows.observe(state.block, segment)
     refused = state.last.refused if state.last else None
     state.reason = state.block.reason or refused
     if pose.t_ns - state.published_ns < REPORTING.publish_ns:
@@ -173,15 +173,15 @@ def fit(machine: Machine, job: Job) -> Fit:
     if pem.contradiction((found.mean - job.mean)[SIX], before, after, np.full(6, TUNING.model_sd)) > (
         TUNING.change_chi_square
     ):
-        covariance = job.covariance.copy()
-        covariance[SIX, :] = covariance[:, SIX] = 0.0
-        covariance[SIX, SIX] = np.diag(prior_sd[SIX] ** 2)
-        mean, changed = np.concatenate([prior_mean[SIX], job.mean[6:]]), True
+        mean, covariance = pem.of_other_tyres(job.mean, job.covariance, prior_mean, prior_sd)
+        changed = True
         found = _posterior(machine, job, mean, covariance) or found
-    own = found.wheel_rms * np.sqrt(found.own_share)
+    own = float(found.wheel_rms * np.sqrt(found.own_share))
+    little = own < TUNING.least_rms or found.own_share < TUNING.least_share
+    refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
     return Fit(
-        found.mean, found.covariance, found.own_share, float(own), found.seconds, found.steps, found.cost,
-        changed, _refusal(found, float(own), prior_mean, prior_sd),
+        found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
+        refused,
     )  # fmt: skip
 
 
@@ -190,18 +190,6 @@ def _posterior(machine: Machine, job: Job, mean: Array, covariance: Array) -> ro
     known = pem.with_known_masses(covariance)
     found = row_fit.fitted(job.rows, rig_setup(machine), mean, known)
     return found and found._replace(covariance=found.covariance + pem.of_masses(covariance))
-
-
-def _refusal(found: row_fit.RowPosterior, own: float, prior_mean: Array, prior_sd: Array) -> Code | None:
-    if not (np.all(np.isfinite(found.mean)) and np.all(np.isfinite(found.covariance))):
-        return Code.RESULT_NOT_FINITE
-    if own < TUNING.least_rms or found.own_share < TUNING.least_share:
-        return Code.LITTLE_OWN_STEERING
-    if not found.converged:
-        return Code.NOT_CONVERGED
-    if np.any(np.abs(found.mean - prior_mean)[SIX] > REPORTING.largest_deviation * prior_sd[SIX]):
-        return Code.BEYOND_TYRES
-    return None
 
 
 def rehearse(machine: Machine) -> None:

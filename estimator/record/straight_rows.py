@@ -55,12 +55,12 @@ def seconds(block: Block) -> float:
     return ticks * TICK_NS * 1e-9 + present
 
 
-def observe(block: Block, segment: Segment | None, zero: float) -> None:
-    """Take the next segment. zero: reading of the wheel angle when straight, rad."""
+def observe(block: Block, segment: Segment | None) -> None:
+    """Take the next segment."""
     if segment is None:
         return
     block.reason = segment.reason
-    if segment.reason is None and not _is_straight(segment, zero):
+    if segment.reason is None and not _is_straight(segment):
         block.reason = Code.NOT_STRAIGHT
     if block.reason is not None:
         _count(block, block.reason)
@@ -112,8 +112,8 @@ def _count(block: Block, reason: Code) -> None:
     block.refused[reason] = block.refused.get(reason, 0) + 1
 
 
-def _is_straight(segment: Segment, zero: float) -> bool:
+def _is_straight(segment: Segment) -> bool:
     ticks = segment.record.ticks
-    turned = np.max(np.abs(ticks[:, WHEEL_ANGLE] - zero))
+    turned = np.max(np.abs(ticks[:, WHEEL_ANGLE]))
     folded = np.max(np.abs(ticks[:, PSI] - ticks[:, PSI + 1]))
     return bool(turned <= ROWS.straight and folded <= ROWS.folded)

@@ -16,10 +16,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_triangular
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.free_noise import gradient_and_information, likeliest_spread, regress
+from tilth.estimator.filters.free_noise import gradient_and_information, lagged, regress
 from tilth.estimator.filters.unknowns import UNKNOWNS, ActsAs
 from tilth.estimator.models.roll_stiffness import nominal_roll
 from tilth.estimator.models.rolling import empty_motion, rates
@@ -84,6 +84,26 @@ class RowBound:
     unexplained: float  # 1 - R^2 of the wheel angle on past innovations, adjusted
     wheel_rms: float  # rad
     spread: float  # of the coefficients of the past, the likeliest
+
+
+def likeliest_spread(stretches: Sequence[Array], order: int, spreads: Sequence[float]) -> float:
+    """Of some spreads the one under which innovations are likeliest, with coefficients and covariance of w
+    integrated and maximised out: smooth ground needs large coefficients that cancel, white noise none.
+
+    stretches: as of free_noise.regress.
+    """
+    past, now = lagged(stretches, order), np.concatenate([e[order:] for e in stretches])
+    gram, across, total, outputs = past.T @ past, past.T @ now, now.T @ now, now.shape[1]
+
+    def cost(spread: float) -> float:
+        prior = np.repeat((np.arange(1, order + 1) / spread) ** 2, outputs)
+        root = np.linalg.cholesky(gram + np.diag(prior))
+        seen = solve_triangular(root, across, lower=True, check_finite=False)
+        _, left = np.linalg.slogdet(total - seen.T @ seen)
+        determinant = 2.0 * float(np.sum(np.log(np.diag(root)))) - float(np.sum(np.log(prior)))
+        return float(outputs * determinant + len(now) * left)
+
+    return min(spreads, key=cost)
 
 
 def in_order(machine: Machine) -> list[Receiver]:

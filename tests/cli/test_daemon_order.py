@@ -1,4 +1,4 @@
-"""A daemon that has just started is asked until it has something to say."""
+"""A daemon that has just started is asked until it has something to say; an order is given once."""
 
 import threading
 from contextlib import closing
@@ -36,3 +36,20 @@ def test_what_is_asked_before_there_is_an_answer_is_asked_again(
         until(lambda: not asking.is_alive(), lambda: asking.join(0.01))
     assert statuses == [0]
     assert f"Nothing of {machine.name} has been found moved." in capsys.readouterr().out
+
+
+def test_an_order_is_given_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever took it may have acted, also where the answer is lost."""
+    machine, text = rig(tmp_path, VIRTUAL)
+    file = tmp_path / "m.toml"
+    file.write_text(text)
+    asked: list[str] = []
+
+    def heard(query: zenoh.Query, by: str) -> None:
+        asked.append(by)
+        query.drop()
+
+    with closing(ZenohSink(machine, answers={"mark": heard})):
+        assert main(["mark", "rain", "--machine", str(file)]) == 2
+    assert len(asked) == 1
+    assert "look into the log before asking again" in capsys.readouterr().err

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.free_noise import gradient_and_information, likeliest_spread, regress
+from tilth.estimator.filters.free_noise import gradient_and_information, regress
 
 Array = NDArray[np.float64]
 
@@ -61,14 +61,3 @@ def test_intervals_hold_where_the_ground_moves_what_is_regressed_on(feedback: bo
         gradient, information = gradient_and_information(noise, [S])
         held += abs(gradient[0]) < 1.96 * np.sqrt(information[0, 0])
     assert 53 <= held <= 60
-
-
-@pytest.mark.parametrize(("width", "least", "most"), [(1, 0.0, 0.2), (25, 0.5, 10.0)])
-def test_smooth_ground_needs_large_coefficients(width: int, least: float, most: float) -> None:
-    """Of white noise they are small; waves that last are predicted by differences of what was before."""
-    rng = np.random.default_rng(3)
-    smooth = np.convolve(rng.standard_normal(1200), np.hanning(width + 2), "valid")[:600, None]
-    e = np.concatenate([smooth, smooth], axis=1) + 0.01 * rng.standard_normal((600, 2))
-    e[:, 1] = rng.standard_normal(600)
-    spreads = (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 3.0, 10.0)
-    assert least < likeliest_spread([e], ORDER, spreads) <= most

@@ -31,7 +31,7 @@ def segment(
 
 def drive(block: Block, first: int, count: int) -> int:
     for number in range(first, first + count):
-        observe(block, segment(number), 0.0)
+        observe(block, segment(number))
     return first + count
 
 
@@ -60,7 +60,7 @@ def test_a_block_is_fitted_as_it_grows_and_then_begins_anew() -> None:
 def test_what_ends_a_row(other: dict[str, object], reason: Code | None) -> None:
     block = Block()
     at = drive(block, 0, SHORTEST)
-    observe(block, segment(at, **other), 0.0)  # type: ignore[arg-type]
+    observe(block, segment(at, **other))  # type: ignore[arg-type]
     assert len(block.complete) == 1 and block.reason is reason
     assert len(block.row) == (0 if reason else 1)
     assert seconds(block) == pytest.approx(ROWS.shortest_s)
@@ -69,7 +69,7 @@ def test_what_ends_a_row(other: dict[str, object], reason: Code | None) -> None:
 def test_a_short_row_is_counted_and_not_used() -> None:
     block = Block()
     at = drive(block, 0, SHORTEST - 1)
-    observe(block, segment(at, wheel=0.2), 0.0)
+    observe(block, segment(at, wheel=0.2))
     assert not block.complete and block.refused == {Code.NOT_STRAIGHT: 1, Code.TOO_SHORT: 1}
 
 
@@ -85,5 +85,5 @@ def test_each_second_is_in_one_block_at_most(driven: list[tuple[int, bool]]) -> 
                 starts = {r.t_ns + k * TICK_NS for r in records for k in range(len(r.ticks))}
                 assert not starts & seen
                 seen |= starts if full else set()
-        observe(block, segment(at, wheel=0.2 if turned else 0.0), 0.0)
+        observe(block, segment(at, wheel=0.2 if turned else 0.0))
         at += 1

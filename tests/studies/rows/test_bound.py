@@ -9,7 +9,7 @@ import pytest
 from circle import demo_machine
 from numpy.typing import NDArray
 
-from studies.rows.bound import RowBound, bound_of, measured, response, true_point
+from studies.rows.bound import RowBound, bound_of, likeliest_spread, measured, response, true_point
 from studies.rows.own_share import own_of, quiet
 from tilth.simulator.drive import drive, drive_in, driver_in
 from tilth.simulator.scenario import Autosteer, Ground, RowSteering, Scenario
@@ -75,3 +75,14 @@ def test_what_is_missing_is_said() -> None:
     three = MACHINE.model_copy(update={"receiver": MACHINE.receiver[:3]})
     with pytest.raises(ValueError, match="all four receivers; there is none at implement_rear"):
         bound_of(three, truth, (5.0, 20.0))
+
+
+@pytest.mark.parametrize(("width", "least", "most"), [(1, 0.0, 0.2), (25, 0.5, 10.0)])
+def test_smooth_ground_needs_large_coefficients(width: int, least: float, most: float) -> None:
+    """Of white noise they are small; waves that last are predicted by differences of what was before."""
+    rng = np.random.default_rng(3)
+    smooth = np.convolve(rng.standard_normal(1200), np.hanning(width + 2), "valid")[:600, None]
+    e = np.concatenate([smooth, smooth], axis=1) + 0.01 * rng.standard_normal((600, 2))
+    e[:, 1] = rng.standard_normal(600)
+    spreads = (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 3.0, 10.0)
+    assert least < likeliest_spread([e], 6, spreads) <= most
