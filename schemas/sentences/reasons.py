@@ -96,7 +96,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "driving has not excluded an error of {of[0]} in the machine file, which leaves {n[0]:share}: steer "
         "to and fro by 3° or more at working speed, for {n[1]:.0f} s"
     ),
-    Code.WIDENED: "{n[0]:share} of that for an error of {of[0]} in the machine file",
+    Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window of pem",
