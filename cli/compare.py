@@ -18,6 +18,7 @@ from tilth.analysis.runs.run import open_runs
 from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.spread import scale_of, unit_of
 
 _say = partial(say, "compare")
 
@@ -82,7 +83,9 @@ def _show(found: FitComparison) -> None:
     for one in (*found.parameters, *(row for row in found.nuisances if row.beyond_chance)):
         change = f"× {math.exp(one.change):.2f}" if one in found.parameters else f"{one.change:+.3g}"
         told = "yes" if one.beyond_chance else "no"
-        table.add_row(one.name, f"{one.first:.4g}", f"{one.second:.4g}", change, told)
+        scale, unit = (scale_of(one.name), unit_of(one.name)) if one in found.parameters else (1.0, "")
+        values = (f"{scale * value:.4g}" for value in (one.first, one.second))
+        table.add_row(f"{one.name}, {unit}" if unit else one.name, *values, change, told)
     console.print(table)
     if found.missing:
         console.print(f"Not given by both: {', '.join(found.missing)}")

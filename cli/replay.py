@@ -38,7 +38,7 @@ from tilth.schemas.machine_difference import differing
 from tilth.schemas.readable import readable, reason_of
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences import event_sentence, rejection_sentence, sentence
-from tilth.schemas.spread import of_logarithm
+from tilth.schemas.spread import of_parameter
 
 _say = partial(say, "replay")
 
@@ -259,8 +259,7 @@ def _table(title: str, estimate: Estimate) -> Table:
     for heading in ("", "estimate", "status", "reason"):
         table.add_column(heading, overflow="fold")
     for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
-        unit = "N/rad" if name.startswith("C_") else "m"
-        value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
+        value_text = "-" if p.value is None or p.sd is None else of_parameter(name, p.value, p.sd)
         table.add_row(name, value_text, p.status.name.lower(), sentence(p.reason))
     if (own := estimate.own_steering) is not None:
         told = f"{100 * own.share:.0f} % of it, {math.degrees(own.rms):.2f}° rms"

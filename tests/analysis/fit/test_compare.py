@@ -48,3 +48,8 @@ def test_what_has_no_joint_number_says_why() -> None:
         row |= {"value": None, "sd": None, "status": "unestimated", "reason": "the segments do not agree"}
     found = compare(answer(), other)
     assert found.dof == 0 and "(the segments do not agree)" in found.sentence and len(found.missing) == 6
+
+
+def test_one_drive_beside_itself_is_named() -> None:
+    found = compare(answer(), answer())
+    assert not found.differ and "they are of one drive" in found.sentence
