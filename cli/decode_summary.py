@@ -14,7 +14,7 @@ _VALUES: Final = 4  # of a message that are shown
 
 
 @dataclass(slots=True)
-class _Row:
+class _Heard:
     first_ns: int
     last: Message
     count: int = 0
@@ -29,12 +29,12 @@ class _Row:
 class Summary:
     """A row for each sender and message, in the order in which they were first heard."""
 
-    rows: dict[tuple[str, int, str | None, int, str], _Row] = field(default_factory=dict)
+    rows: dict[tuple[str, int, str | None, int, str], _Heard] = field(default_factory=dict)
 
     def take(self, message: Message) -> str:
         """Returns what is to be printed of it: nothing yet."""
         key = message.origin.bus, message.origin.source, name_text(message), message.pgn, message.title
-        row = self.rows.setdefault(key, _Row(message.t_ns, message))
+        row = self.rows.setdefault(key, _Heard(message.t_ns, message))
         row.count, row.last = row.count + 1, message
         return ""
 

@@ -12,7 +12,7 @@ from tilth.schemas.spread import interval, of_parameter, scale_of, unit_of
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class FitRow:
     """One line of the table; parameters in N/rad and m."""
 
     name: str  # short, such as: 1.2
@@ -27,18 +27,18 @@ def title_of(run: RunAnswer) -> str:
     return f"segment {run['id']}, {what}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
 
 
-def rows_of(answer: FitAnswer) -> Iterator[Row]:
+def rows_of(answer: FitAnswer) -> Iterator[FitRow]:
     """Segments, groups of those that agree among themselves, all together."""
     runs = answer["runs"]
     for k, run in enumerate(runs):
         what = run["name"] or run["kind"].replace("_", " ")
         title = f"{run['id']} {what}\n{run['start_s']:.0f} to {run['end_s']:.0f} s"
-        yield Row(run["id"], title, run["parameters"], k == len(runs) - 1)
+        yield FitRow(run["id"], title, run["parameters"], k == len(runs) - 1)
     groups = [group for group in answer["groups"] if len(group["segments"]) > 1]
     for k, group in enumerate(groups):
-        yield Row(group["name"], f"{group['name']}\ntogether", group["parameters"], k == len(groups) - 1)
+        yield FitRow(group["name"], f"{group['name']}\ntogether", group["parameters"], k == len(groups) - 1)
     if answer["joint"] is not None and len(runs) > 1:
-        yield Row("all", "all together", answer["joint"]["parameters"])
+        yield FitRow("all", "all together", answer["joint"]["parameters"])
 
 
 def write_csv(answer: FitAnswer, out: TextIO) -> None:
