@@ -13,8 +13,8 @@ import zenoh
 from rich.console import Console
 from rich.table import Table
 
-from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import SAYS
+from tilth.analysis.runs.nuisance_words import WORDS, nuisance_text
 from tilth.cli import WrongUse, add_bus_names, buses_of, say, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars

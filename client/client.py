@@ -21,8 +21,8 @@ from tilth.schemas.flow import Estimate, Event, EventKind
 
 SOIL_CHANGE: Final = EventKind.SOIL_CHANGE  # kind of the event
 SIMULATED: Final = (
-    "only a replay or a simulation of this machine is heard: to hear it, connect with replay=True; never on a "
-    "tractor"
+    "only a replay or a simulation of this machine is heard: to hear it, connect with replay=True; never on "
+    "a tractor"
 )
 WAITING: Final = 256  # calls that may wait for a slow callback; further ones are dropped and counted
 _DRIFT: Final = 1e-4  # of two computers' clocks against each other, at most

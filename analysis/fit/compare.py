@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc  # scipy.stats takes a second to import
 
 from tilth.analysis.fit.result import FitAnswer, JointAnswer
+from tilth.analysis.runs.nuisance_words import WORDS, nuisance_value
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import interval
 
@@ -123,7 +124,12 @@ def _sentence(
         for low, high in [interval(math.exp(one.change), one.sd)]
         if one.beyond_chance
     ]
-    told += [f"{one.name} from {one.first:.3g} to {one.second:.3g}" for one in nuisances if one.beyond_chance]
+    told += [
+        f"{WORDS[one.name].words} ({one.name}) from {nuisance_value(one.name, one.first)} to "
+        f"{nuisance_value(one.name, one.second)}"
+        for one in nuisances
+        if one.beyond_chance
+    ]
     if not told and p >= BEYOND:
         return f"Nothing differs beyond chance ({spread})."
     if not told:

@@ -8,7 +8,7 @@ from tilth.analysis.report.document import ReportCell
 from tilth.logger.clock import utc_text
 from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.spread import of_parameter, plus_minus, scale_of, unit_of
+from tilth.schemas.spread import of_parameter, scale_of, unit_of
 
 NOTHING: Final = "–"
 SAYS: Final = " (95 %)"
@@ -51,11 +51,6 @@ def parameter_cell(parameter: str, found: ParameterEntry) -> ReportCell:
         return ReportCell(status)
     text = parameter_text(parameter, value, sd) if sd is not None else number(value * scale_of(parameter))
     return ReportCell(text if status == "estimated" else f"{text} ({status})", value, sd)
-
-
-def interval_text(value: float, sd: float, unit: str = "") -> str:
-    """Estimate ± 95 % of what is normal."""
-    return plus_minus(value, sd, unit).removesuffix(SAYS)
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:

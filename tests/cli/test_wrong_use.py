@@ -16,7 +16,7 @@ from tilth.schemas.invocation import command
 NOWHERE = "tcp/127.0.0.1:1"
 ROWS: list[tuple[list[str], str]] = [
     ([], "required: COMMAND; see "),
-    (["frob"], "choose from 'run', "),
+    (["frob"], "there is no command frob. "),
     (["run", "MACHINE", "--seconds", "x"], "--seconds: x: give a number above zero"),
     (["run", "MACHINE", "--seconds", "nan"], "--seconds: nan: give a number above zero"),
     (["run", "FOLDER"], "is a directory); give the path of one that exists"),

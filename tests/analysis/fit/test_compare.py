@@ -17,7 +17,7 @@ def test_a_wheel_zero_that_moved_is_told() -> None:
     moved = answer()
     moved["joint"]["nuisances"]["wheel_zero"]["value"] = 0.05
     found = compare(answer(), moved)
-    assert found.differ and "wheel_zero from 0.01 to 0.05" in found.sentence
+    assert found.differ and "when straight (wheel_zero) from 0.573 ° to 2.86 °" in found.sentence
     assert found.p > 0.9 and json.dumps(asdict(found))
 
 
