@@ -40,6 +40,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("replay", "feed logs through the estimators again"),
     ("fit", "the parameters of each run in logs, and of all together"),
     ("compare", "what differs beyond chance between two logs or fits"),
+    ("import", "make a log of a table of positions and wheel angles"),
     ("export", "write what logs hold to Parquet, CSV or MAT files"),
     ("report", "tell what was driven and found, in one HTML file"),
     ("demo", "drive a simulated tractor through the whole chain"),
