@@ -26,9 +26,9 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record import record_builder
 from tilth.estimator.results.flag_events import flag_events
+from tilth.estimator.results.method_state import take_events
 from tilth.estimator.results.recommend import OFFERED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state import State as State
 from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX, UNKNOWNS
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import ADVICE
+from tilth.estimator.results.method_state import SixState
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Code, Reason
 
 Array = NDArray[np.float64]
@@ -34,31 +34,6 @@ class ReportingTuning:
 
 
 REPORTING: Final = ReportingTuning()
-
-
-class Learning(Protocol):
-    """State of a method that learns unknowns.NAMES, arrays in their order. Times ns."""
-
-    mean: Array
-    covariance: Array
-    prior_mean: Array
-    prior_sd: Array
-    has_number: list[bool]  # whether each of the six had a number in the last estimate
-    informed_ns: int  # when it last learned from data, 0: never
-    window_s: float
-    reason: Code | None  # why nothing is learned now
-
-
-class Reporting(Protocol):
-    """State of a method that reports events."""
-
-    events: list[tuple[str, Notice]]  # with their kinds, not taken yet
-
-
-def take_events(state: Reporting) -> list[tuple[str, Notice]]:
-    """(kind, notice) of a method's events since the last call."""
-    events, state.events = state.events, []
-    return events
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:
@@ -116,7 +91,7 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
 
 
 def six_parameter_estimate(
-    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
+    state: SixState, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
     excitation: dict[str, float], advised: Advice | None, stale: Reason | None,
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
