@@ -353,6 +353,9 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
+    for other in rows_for(state.machine):
+        if other.learn is not None and made is not None and method_state.job is not None:
+            other.learn(state.estimators[other.method], method_state.job, made)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _publish_events(state, t_ns, row, out)
     _publish_estimates(state, t_ns, [estimate], out)
