@@ -18,7 +18,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.unknowns import SIX
+from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS
@@ -56,7 +56,7 @@ def told(
     covariance: Array,
     after: Array,
     information: Array,
-    prior_mean: Array,
+    prior: tuple[Array, Array],
     wider: Array,
     model_sd: Array,
 ) -> Told:
@@ -64,26 +64,42 @@ def told(
     (n,) and (n, n), its largest value at `after`, (n,).
 
     What was known of all but the six stays known; how it was correlated with the six, of other places, does
-    not count. wider: factors on the sds of the six by noise, (6,). model_sd: (6,).
+    not count. Noise levels are the window's own. All else is of the rig, and the same in all windows: the six
+    are told as if it were known, and its uncertainty joins the errors of the model.
+    prior: mean and sds of the machine file, (n,). wider: factors on the sds of the six by noise, (6,).
+    model_sd: (6,).
     """
     active = np.flatnonzero(np.diag(covariance) > 0.0)
-    six, rest = np.flatnonzero(active < 6), np.flatnonzero(active >= 6)
-    known = covariance[np.ix_(active, active)]
+    known, start = covariance[np.ix_(active, active)], (before - prior[0])[active]
     precision = information[np.ix_(active, active)]
-    vector = precision @ (after - prior_mean)[active] + np.linalg.solve(known, (after - before)[active])
-    others = np.linalg.inv(known[np.ix_(rest, rest)])
-    inside = precision[np.ix_(rest, rest)] + others
-    carried = np.linalg.solve(inside, precision[np.ix_(rest, six)]).T
-    vector_rest = vector[rest] + others @ (before - prior_mean)[active[rest]]
-    shrunk = 1.0 / np.outer(wider, wider)
-    left, of_six = np.zeros((6, 6)), np.zeros(6)
-    left[np.ix_(active[six], active[six])] = (
-        precision[np.ix_(six, six)] - carried @ precision[np.ix_(rest, six)]
+    vector = precision @ (after - prior[0])[active] + np.linalg.solve(known, (after - before)[active])
+    six, of_rig = active < 6, (active >= 6) & ~np.isin(active, np.arange(NOISE.start, NOISE.stop))
+    others = np.zeros_like(known)
+    rest = np.ix_(~six, ~six)
+    others[rest] = np.linalg.inv(known[rest])
+    precision, vector = _without(precision + others, vector + others @ start, ~six & ~of_rig)
+    six = six[six | of_rig]
+    weak = np.diag(np.where(six, prior[1][active[: len(six)]] ** -2.0, 0.0))
+    found = np.linalg.inv(precision + weak)
+    by_rig = np.linalg.solve((precision + weak)[np.ix_(six, six)], precision[np.ix_(six, ~six)])
+    rig_sd = np.sqrt(np.diag(by_rig @ found[np.ix_(~six, ~six)] @ by_rig.T))
+    alone = precision[np.ix_(six, six)]
+    value = np.linalg.pinv(alone, hermitian=True) @ (
+        vector[six] - precision[np.ix_(six, ~six)] @ (found @ vector)[~six]
     )
-    of_six[active[six]] = vector[six] - carried @ vector_rest
-    alone = np.linalg.pinv(left, hermitian=True) @ of_six
-    left = (left + left.T) / 2.0 * shrunk
-    return Told(left, left @ alone, model_sd)
+    at, left, of_six, sds = active[active < 6], np.zeros((6, 6)), np.zeros(6), model_sd.copy()
+    left[np.ix_(at, at)] = alone / np.outer(wider[at], wider[at])
+    of_six[at], sds[at] = value, np.hypot(model_sd[at], rig_sd)
+    return Told((left + left.T) / 2.0, left @ of_six, sds)
+
+
+def _without(precision: Array, vector: Array, gone: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The information on what is not gone, and its vector, where what is gone may be anything."""
+    carried = np.linalg.solve(precision[np.ix_(gone, gone)], precision[np.ix_(gone, ~gone)]).T
+    return (
+        precision[np.ix_(~gone, ~gone)] - carried @ precision[np.ix_(gone, ~gone)],
+        vector[~gone] - carried @ vector[gone],
+    )
 
 
 @dataclass(frozen=True, slots=True)

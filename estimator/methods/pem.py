@@ -219,7 +219,7 @@ def fit(machine: Machine, job: Job) -> Fit:
         changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
         found = scoring.with_gain(anew, found.gain) if changed else found
     refused = refusal(found, prior_mean, prior_sd)
-    alone = None if refused else _told(job.record, mean, covariance, found, prior_mean)
+    alone = None if refused else _told(job.record, mean, covariance, found, (prior_mean, prior_sd))
     return Fit(
         found.mean, found.covariance, alone, found.gain, found.whiteness, found.cost,
         found.iterations, found.rows, changed, refused,
@@ -227,9 +227,13 @@ def fit(machine: Machine, job: Job) -> Fit:
 
 
 def _told(
-    record: Record, mean: Array, covariance: Array, found: scoring.Posterior, prior_mean: Array
+    record: Record,
+    mean: Array,
+    covariance: Array,
+    found: scoring.Posterior,
+    prior: tuple[Array, Array],
 ) -> Told:
-    """What a window alone tells. mean, covariance: before it, (n,) and (n, n).
+    """What a window alone tells. mean, covariance: before it, (n,) and (n, n). prior: as of unknowns.prior.
 
     Its information is as much less than the likelihood's as the published sds are wider than those by it: for
     coloured noise and the ground, and without errors of the model, which windows have in common.
@@ -242,7 +246,7 @@ def _told(
     published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
-    return told(mean, known, found.mean, found.information, prior_mean, wider, errors)
+    return told(mean, known, found.mean, found.information, prior, wider, errors)
 
 
 def _posterior(

@@ -208,7 +208,7 @@ def estimate_at(
         soil = state.soil = state.soil or SoilField(state.windows, state.prior_sd)
         there = soil.at(axles)
         mean[SIX] += there.mean
-        covariance[SIX, SIX] = there.covariance
+        covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
         shares = soil.shares(axles, [window.passing == state.passing for window in state.windows])
         of_place = SoilPlace(*to_degrees(state.origin_deg, *axles[1].tolist()), there.length_m, *shares)
     learned = _Learned(

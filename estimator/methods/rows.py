@@ -182,22 +182,22 @@ def fit(machine: Machine, job: Job) -> Fit:
     own = float(found.wheel_rms * np.sqrt(found.own_share))
     little = own < TUNING.least_rms or found.own_share < TUNING.least_share
     refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
-    alone = None if refused else _told(start, known, found, prior_mean)
+    alone = None if refused else _told(start, known, found, (prior_mean, prior_sd))
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
         refused, alone,
     )  # fmt: skip
 
 
-def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior_mean: Array) -> Told:
-    """What a block alone tells. mean, covariance: before it, (n,) and (n, n)."""
+def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior: tuple[Array, Array]) -> Told:
+    """What a block alone tells. mean, covariance: before it, (n,) and (n, n). prior: as of unknowns.prior."""
     known, after = pem.with_known_masses(covariance), found.covariance - pem.of_masses(covariance)
     active = np.flatnonzero(np.diag(known) > 0.0)
     at, added = np.ix_(active, active), np.zeros_like(known)
     added[at] = np.linalg.inv(after[at]) - np.linalg.inv(known[at])
     sizes, axes = np.linalg.eigh(added)
     added = (axes * np.maximum(sizes, 0.0)) @ axes.T  # where filters differ, it may be less than before
-    return told(mean, known, found.mean, added, prior_mean, np.ones(6), np.full(6, TUNING.model_sd))
+    return told(mean, known, found.mean, added, prior, np.ones(6), np.full(6, TUNING.model_sd))
 
 
 def _posterior(machine: Machine, job: Job, mean: Array, covariance: Array) -> row_fit.RowPosterior | None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilField, SoilWindow, Told, merged, told
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE
 
 Array = NDArray[np.float64]
 
@@ -143,7 +144,7 @@ def test_what_a_window_adds_does_not_depend_on_what_was_known_of_the_six(seed: i
     rng, n = np.random.default_rng(seed), 9
     root = rng.standard_normal((n, n))
     information, best, prior_mean = root @ root.T, rng.standard_normal(n), rng.standard_normal(n)
-    others = np.cov(rng.standard_normal((3, 40)))
+    others, prior = np.cov(rng.standard_normal((3, 40))), (prior_mean, np.ones(n))
     found = []
     for sd in (0.1, 3.0):
         before = np.concatenate([rng.standard_normal(6), prior_mean[6:]])
@@ -151,6 +152,26 @@ def test_what_a_window_adds_does_not_depend_on_what_was_known_of_the_six(seed: i
         covariance[:6, :6], covariance[6:, 6:] = sd**2 * np.eye(6), others
         known = np.linalg.inv(covariance)
         after = np.linalg.solve(information + known, information @ best + known @ before)
-        found.append(told(before, covariance, after, information, prior_mean, np.ones(6), np.zeros(6)))
+        found.append(told(before, covariance, after, information, prior, np.ones(6), np.zeros(6)))
     assert found[0].information == pytest.approx(found[1].information, abs=1e-6)
     assert found[0].vector == pytest.approx(found[1].vector, abs=1e-6)
+    assert found[0].model_sd == pytest.approx(found[1].model_sd) and np.all(found[0].model_sd > 0.0)
+
+
+def test_what_the_rig_leaves_open_is_common_to_windows_and_what_noise_does_is_not() -> None:
+    """An unknown of the rig that looks like a stiffness: each window tells the six sharply if it is known."""
+    n = len(NAMES)
+    information, covariance = np.zeros((n, n)), np.zeros((n, n))
+    k, zero = AT["C_af"], AT["wheel_zero"]
+    covariance[np.arange(6), np.arange(6)] = 0.7**2
+    covariance[zero, zero] = covariance[NOISE.start, NOISE.start] = 0.1**2
+    information[:6, :6] = np.eye(6) / 0.02**2
+    for other, log in ((zero, k), (NOISE.start, AT["C_ar"])):
+        both = np.zeros(n)
+        both[[other, log]] = 2.0, 1.0
+        information += np.outer(both, both) / 0.02**2 - np.diag(np.eye(n)[log]) / 0.02**2
+    flat = (np.zeros(n), np.full(n, 0.7))
+    made = told(np.zeros(n), covariance, np.zeros(n), information, flat, np.ones(6), np.zeros(6))
+    assert made.model_sd[k] == pytest.approx(0.2, rel=0.1) and made.information[k, k] == pytest.approx(2500.0)
+    assert made.model_sd[AT["C_ar"]] == 0.0
+    assert made.information[AT["C_ar"], AT["C_ar"]] == pytest.approx(1.0 / (0.02**2 + 0.2**2), rel=0.1)
