@@ -123,6 +123,32 @@ def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
     return replace(max(one, other, key=lambda window: window.begin_ns), told=told)
 
 
+@dataclass(frozen=True, slots=True)
+class KeptSoil:
+    """What is kept of a field, for the next run."""
+
+    origin_deg: tuple[float, float]  # latitude and longitude, of the plane that paths are in
+    windows: list[SoilWindow]
+
+    @property
+    def finite(self) -> bool:
+        return all(
+            np.all(np.isfinite(part))
+            for w in self.windows
+            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd)
+        )
+
+    def faded(self, share: float) -> "KeptSoil":
+        """With so much of its information left."""
+        windows = [
+            replace(
+                w, told=replace(w.told, information=share * w.told.information, vector=share * w.told.vector)
+            )
+            for w in self.windows
+        ]
+        return replace(self, windows=windows)
+
+
 class At(NamedTuple):
     """What is known at a place."""
 

@@ -15,7 +15,7 @@ from tilth.estimator.filters import steady_outputs, unknowns
 from tilth.estimator.methods import learned, pem, place, rows, steady_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.record.record import Segment
-from tilth.schemas.flow import Estimate, Pose
+from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
 
@@ -117,6 +117,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         place.take,
         place.estimate,
         place.clock_stepped,
+        memory=Memory(PARAMETERS, (), learned.of_place, learned.into_place),
         learn=place.learn,
     ),
     Estimator(

@@ -36,9 +36,7 @@ class PlaceAhead:
         try:
             place = _place(query.parameters)
             if place is None:
-                query.reply_err(
-                    f"give x and y of a place, m, within 100 km: {KEY}?x=12.5;y=-3"
-                )
+                query.reply_err(f"give x and y of a place, m, within 100 km: {KEY}?x=12.5;y=-3")
                 return
             data = _CHANNEL.encode(self._estimate_at(*place))
             query.reply(query.key_expr, data, encoding=zenoh.Encoding(_CHANNEL.encoding))
