@@ -99,6 +99,20 @@ class Client:
             return judge(None, math.inf, rule, SIMULATED if self._simulated and not self.alive else "")
         return judge(held.estimate, time.monotonic() - held.received_s + held.behind_s, rule)
 
+    def estimate_at(self, x: float, y: float, timeout_s: float = 1.0) -> Estimate:
+        """What the daemon's memory by place says of a place ahead. x, y: north and east of the tractor's rear
+        axle there, m, in the plane of the poses; the bodies in line as they head now.
+
+        Raises LookupError where no daemon answers in that time, or with its reason.
+        """
+        key = f"{self._base}/soil_tire/place/at"
+        why = f"no answer in {timeout_s:g} s: does the daemon run?"
+        for reply in self._link.session.get(f"{key}?x={x!r};y={y!r}", timeout=timeout_s):
+            if reply.ok is not None:
+                return estimate_of(_bytes_of(reply.ok, key), str(reply.ok.encoding))
+            why = reply.err.payload.to_string() if reply.err else why
+        raise LookupError(why)
+
     @property
     def alive(self) -> bool:
         """Whether the daemon's token is there: says who stopped, not whether an estimate may be used."""

@@ -120,6 +120,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         message.advised.CopyFrom(pb.Advice(**asdict(estimate.advice)))
     if estimate.own_steering is not None:
         message.own_steering.CopyFrom(pb.OwnSteering(**asdict(estimate.own_steering)))
+    if estimate.of_place is not None:
+        message.of_place.CopyFrom(pb.SoilPlace(**asdict(estimate.of_place)))
     if estimate.condition is not None:
         message.condition = estimate.condition
     per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
@@ -285,6 +287,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire/tracker", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/tracker"),
     Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
     Channel("/soil_tire/rows", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/rows"),
+    Channel("/soil_tire/place", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/place"),
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
@@ -330,6 +333,10 @@ TOLERANCES: dict[str, dict[str, float]] = {
     "Reason": {"numbers": 1e-3},
     "Advice": {
         "log_sds": 1e-4, "speed": 1e-6, "seconds": 1e-6, "degrees": 1e-6, "after": 1e-4, "turn_after": 1e-4,
+    },
+    "SoilPlace": {
+        "latitude_deg": 1e-12, "longitude_deg": 1e-12, "radius_m": 1e-3, "this_pass": 1e-4,
+        "neighbours": 1e-4, "prior": 1e-4,
     },
     "Combination": {"exponents": 1e-6, "log_sd": 1e-4},
 }  # fmt: skip
