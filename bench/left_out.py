@@ -110,6 +110,10 @@ def _uphill(asked: Scenario) -> Scenario:
     return replace(asked, ground=replace(asked.ground, slope_deg=3.0, downhill_deg=180.0))
 
 
+def _uphill_without_ellipse(asked: Scenario) -> Scenario:
+    return _uphill(_no_ellipse(asked))
+
+
 PULL_3, PULL_10 = _rolling(0.03), _rolling(0.10)
 
 
@@ -178,6 +182,10 @@ EFFECTS: Final = {
     "plant: its gain bends by 1 % at 30°": Effect(plant=_wheel("bent", curve=0.02)),
     "plant: traction takes no side force": Effect(plant=Plant("no_ellipse", _no_ellipse)),
     "plant: 3° uphill": Effect(plant=Plant("uphill", _uphill)),
+    "plant: 3° uphill, without that": Effect(
+        plant=Plant("uphill_no_ellipse", _uphill_without_ellipse),
+        beside="plant: traction takes no side force",
+    ),
     "plant: cart's load 0.15 m forward": Effect(plant=Plant("tongue", further_forward=0.15)),
     "plant: rolling resistance 3 %": Effect(plant=PULL_3),
     "pull, at 3 %": Effect({"rolling": 0.0}, plant=PULL_3, beside="plant: rolling resistance 3 %"),

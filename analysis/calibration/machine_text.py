@@ -52,7 +52,7 @@ def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, s
 
 
 def _table(document: tomlkit.TOMLDocument, name: str) -> Any:
-    """With the section's own keys: it may go on further down, as [[tractor.ballast]] behind other sections."""
+    """With the section's own keys: it may go on further down, as [[tractor.ballast]] behind others."""
     parts = [part for key, part in document.body if key is not None and key.key == name]
     return next((part for part in parts if isinstance(part, Table) and not part.is_super_table()), parts[0])
 
