@@ -6,6 +6,7 @@ all come from it.
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
+from itertools import zip_longest
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -124,8 +125,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         message.of_place.CopyFrom(pb.SoilPlace(**asdict(estimate.of_place)))
     if estimate.condition is not None:
         message.condition = estimate.condition
-    per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
-    for name, parameter, ratio in zip(flow.PARAMETERS, estimate.parameters, per_mass, strict=True):
+    over_mass = zip_longest(flow.PARAMETERS, estimate.parameters, estimate.per_mass, estimate.per_mass_sd)
+    for name, parameter, ratio, ratio_sd in over_mass:
         row = message.parameters.add(
             name=name, status=int(parameter.status), reason=sentence(parameter.reason)
         )
@@ -134,6 +135,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         _set_present(row, parameter, ("value", "sd", "age_s"))
         if ratio is not None:
             row.per_mass = ratio
+        if ratio_sd is not None:
+            row.per_mass_sd = ratio_sd
     for name, (value, sd) in estimate.nuisances.items():
         message.nuisances.add(name=name, value=value, sd=sd)
     for name, amount in estimate.excitation.items():
@@ -327,7 +330,7 @@ TOLERANCES: dict[str, dict[str, float]] = {
     "Vector3": {"x": 1e-6, "y": 1e-6, "z": 1e-9},
     "Quaternion": {"x": 1e-7, "y": 1e-7, "z": 1e-7, "w": 1e-7},
     "SoilTireEstimate": {"log_covariance": 1e-7, "condition": 1e-3, "window_s": 1e-6, "bound": 1e-4},
-    "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4},
+    "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4, "per_mass_sd": 1e-4},
     "Nuisance": {"value": 1e-7, "sd": 1e-7},
     "Excitation": {"value": 1e-6},
     "Reason": {"numbers": 1e-3},

@@ -74,6 +74,9 @@ class Code(StrEnum):
     NO_WINDOW_YET = "no_window_yet"
     WIDE = "wide"
     """numbers: sd of the logarithm that the data leave."""
+    OF_THE_MASS = "of_the_mass"
+    """of: the key of a mass. numbers: sd of its logarithm as the file tells it; sd of that of the stiffness
+    over the mass, which has a number."""
     NOT_LEARNED_FOR = "not_learned_for"
     NO_SOUND_DATA_FOR = "no_sound_data_for"
     NO_STEADY_DRIVING_FOR = "no_steady_driving_for"

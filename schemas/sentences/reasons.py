@@ -68,6 +68,10 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_STEADY_TURN_YET: "no steady turn yet",
     Code.NO_WINDOW_YET: "no window has been fitted yet",
     Code.WIDE: "the data leave {n[0]:share}: more steering is needed",
+    Code.OF_THE_MASS: (
+        "the machine file tells {of[0]} to {n[0]:share} only: weigh it; per kilogram the stiffness is known,"
+        " {n[1]:share}"
+    ),
     Code.NOT_LEARNED_FOR: "nothing was learned for {n[0]:.0f} s",
     Code.NO_SOUND_DATA_FOR: "no sound data for {n[0]:.0f} s",
     Code.NO_STEADY_DRIVING_FOR: "no steady driving for {n[0]:.0f} s",
