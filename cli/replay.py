@@ -201,6 +201,9 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
             "compared": comparison.compared,
             "difference": comparison.difference or None,
             "unverifiable": comparison.unverifiable,
+            "to_the_byte": comparison.to_the_byte,
+            "recorded_elsewhere": comparison.elsewhere or None,
+            "largest": None if comparison.largest is None else comparison.largest._asdict(),
         }
     return answer
 
@@ -246,12 +249,24 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
 def _compared(comparison: Comparison) -> str:
     if comparison.difference:
         return f"Differs: {comparison.difference}"
+    found = f"{comparison.compared} results are those that were logged live, to the byte."
+    if comparison.elsewhere:
+        found = (
+            f"{comparison.compared} results are equal within their tolerances, {comparison.to_the_byte} of "
+            f"them to the byte{_largest(comparison)}; no decision differs. They were recorded elsewhere: "
+            f"{comparison.elsewhere}."
+        )
     if not comparison.unverifiable:
-        return f"All {comparison.compared} results are those that were logged live, to the byte."
-    return (
-        f"{comparison.compared} results are those that were logged live, to the byte. Not verifiable: "
-        f"{comparison.unverifiable} behind what is damaged, up to the next stored state."
-    )
+        return f"All {found}"
+    damaged = f"{comparison.unverifiable} behind what is damaged, up to the next stored state."
+    return f"{found} Not verifiable: {damaged}"
+
+
+def _largest(comparison: Comparison) -> str:
+    largest = comparison.largest
+    if largest is None:
+        return ""
+    return f", the largest difference {largest.amount:.0e} of {largest.tolerance:.0e} in {largest.field}"
 
 
 def _table(title: str, estimate: Estimate) -> Table:

@@ -43,6 +43,7 @@ from tilth.estimator.results.reporting import (
     OVER,
     REPORTING,
     age_s,
+    condition_number,
     is_supported,
     log_sds_over_masses,
     nothing_yet,
@@ -390,9 +391,7 @@ def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> 
     scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
     values = np.linalg.eigvalsh(advice.information_of(state.log_covariance, state.prior_sd[:3]) * scale)
     rank = int(np.sum(values > supported**-2 - 1.0))
-    if values[0] <= 0:
-        return rank, None
-    return rank, float(values[-1] / values[0])
+    return rank, condition_number(values)
 
 
 def _update_supported(state: SteadyState) -> None:

@@ -31,9 +31,16 @@ class ReportingTuning:
     withdrawn: float = tuned(0.6, "1", "posterior over prior sd, above which a number is withdrawn")
     largest_deviation: float = tuned(4.5, "sd", "of the prior: a value further from its mean is no tyre's")
     rank_gain: float = tuned(3.0, "1", "information over the prior's, for a direction to be determined")
+    worst_condition: float = tuned(1e9, "1", "of what the data determine; beyond, it is rounding that speaks")
 
 
 REPORTING: Final = ReportingTuning()
+
+
+def condition_number(eigenvalues: Array) -> float | None:
+    """Largest over smallest of an information's; None where a direction is not determined at all."""
+    largest, smallest = float(eigenvalues.max()), float(eigenvalues.min())
+    return largest / smallest if smallest * REPORTING.worst_condition > largest else None
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:
@@ -172,7 +179,7 @@ def six_parameter_estimate(
             if k > 5
         },
         rank=int(np.sum(eigenvalues > REPORTING.rank_gain)),
-        condition=float(eigenvalues.max() / eigenvalues.min()) if eigenvalues.min() > 0.0 else None,
+        condition=condition_number(eigenvalues),
         excitation=excitation,
         window_s=state.window_s,
         determined=advice.determined(information, prior_sd) if age is not None else (),

@@ -115,7 +115,9 @@ def test_no_number_is_surer_than_the_rows_make_it_at_the_priors_point() -> None:
     problem = RowFit([row], SETUP, MEAN, COVARIANCE)
     alone, found = problem.maximise(), fitted([row], SETUP, MEAN, COVARIANCE)
     assert found
-    first, at_end, said = (np.diag(of)[:6] for of in (problem.first_covariance, alone.covariance, found.covariance))
+    first, at_end, said = (
+        np.diag(of)[:6] for of in (problem.first_covariance, alone.covariance, found.covariance)
+    )
     assert np.any(at_end < 0.9 * first)
     assert np.all(said >= (1.0 - 1e-9) * first) and np.all(said < SD_PRIOR[:6] ** 2 * 1.01)
     assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
