@@ -110,18 +110,30 @@ def widened(widening: Widening, estimate: Estimate, had: Sequence[bool] = ()) ->
     parameters = tuple(
         _parameter(widening, k, p, had=k < len(had) and had[k]) for k, p in enumerate(estimate.parameters)
     )
-    masses = tuple(
-        None if p.value is None else one for p, one in zip(parameters, estimate.per_mass, strict=False)
-    )
+    masses = [_over_mass(widening, estimate, k, had=k < len(had) and had[k]) for k in range(3)]
     determined = tuple(
         replace(one, log_sd=total)
         for one in estimate.determined
         if (total := _of_combination(widening, one)) <= _limit(one.log_sd)
     )
     return replace(
-        estimate, parameters=parameters, log_covariance=tuple(covariance.ravel().tolist()), per_mass=masses,
+        estimate, parameters=parameters, log_covariance=tuple(covariance.ravel().tolist()),
+        per_mass=tuple(value for value, _ in masses), per_mass_sd=tuple(sd for _, sd in masses),
         determined=determined,
     )  # fmt: skip
+
+
+def _over_mass(
+    widening: Widening, estimate: Estimate, k: int, had: bool
+) -> tuple[float | None, float | None]:
+    """(value, sd) of a stiffness over the mass, which errors of the mass do not widen."""
+    if k >= len(estimate.per_mass_sd):
+        return None, None
+    value, sd = estimate.per_mass[k], estimate.per_mass_sd[k]
+    if value is None or sd is None:
+        return None, None
+    total = math.hypot(sd / value * math.sqrt(widening.factor), math.sqrt(widening.covariance[k, k]))
+    return (value, value * total) if total <= _limit(sd / value, had) else (None, None)
 
 
 def _parameter(widening: Widening, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:

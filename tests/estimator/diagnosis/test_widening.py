@@ -15,7 +15,7 @@ from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, SUSPECTS, OpenEv
 from tilth.estimator.diagnosis.widening import WIDENING, Widening, widened, widening_of
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Status
-from tilth.schemas.reasons import Code, Combination
+from tilth.schemas.reasons import Code, Combination, Reason
 from tilth.schemas.sentences import sentence
 
 N = len(NAMES)
@@ -48,7 +48,7 @@ def estimate(sd: float = 0.1) -> Estimate:
     ratio = Combination((1.0, -1.0, 0.0, 0.0, 0.0, 0.0), sd)
     return Estimate(
         5, "pem", "relaxation", six, tuple((np.eye(6) * sd**2).ravel().tolist()), (1.0, 2.0, 3.0),
-        determined=(ratio,),
+        per_mass_sd=(sd, 2.0 * sd, 3.0 * sd), determined=(ratio,),
     )  # fmt: skip
 
 
@@ -74,7 +74,19 @@ def test_a_number_is_never_narrower_and_its_sd_is_that_of_the_covariance(
             continue
         assert p.sd / p.value == pytest.approx(math.sqrt(covariance[k, k]))
         assert p.sd / p.value <= max(WIDENING.widest, WIDENING.least * own) + 1e-9
-    assert [one is None for one in wide.per_mass] == [p.value is None for p in wide.parameters[:3]]
+    for p, one, one_sd in zip(wide.parameters[:3], wide.per_mass, wide.per_mass_sd, strict=True):
+        assert (one is None) == (one_sd is None) == (p.value is None)
+        if one is not None and one_sd is not None and p.value is not None and p.sd is not None:
+            assert one_sd / one == pytest.approx(p.sd / p.value)
+
+
+def test_a_stiffness_that_only_the_mass_leaves_open_is_still_known_over_the_mass() -> None:
+    given_ = estimate(0.1)
+    six = list(given_.parameters)
+    six[2] = ParameterEstimate(None, None, Status.UNESTIMATED, Reason(Code.OF_THE_MASS), 1.0)
+    wide = widened(widening_of(evidence({"I_i": 0.1}, {}, 0.5)), replace(given_, parameters=tuple(six)))
+    assert wide.parameters[2].value is None and wide.per_mass[2] == 3.0
+    assert wide.per_mass_sd[2] is not None and 0.3 < wide.per_mass_sd[2] < 0.6
 
 
 @pytest.mark.parametrize("name", LOOKED_AT)

@@ -107,6 +107,22 @@ def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
     assert np.sum(np.abs(ratios) < 2.0) >= 16 and np.abs(ratios).max() < 3.5
 
 
+def test_no_number_is_surer_than_the_rows_make_it_at_the_priors_point() -> None:
+    """Of soft tyres and long lengths, where slopes are large; a short row with much noise."""
+    true = MEAN.copy()
+    true[:6] += (0.0, 0.0, -0.6, 0.3, 0.3, 0.7)
+    row = driven(45.0, 5, true)
+    problem = RowFit([row], SETUP, MEAN, COVARIANCE)
+    alone, found = problem.maximise(), fitted([row], SETUP, MEAN, COVARIANCE)
+    assert found
+    first, at_end, said = (
+        np.diag(of)[:6] for of in (problem.first_covariance, alone.covariance, found.covariance)
+    )
+    assert np.any(at_end < 0.9 * first)
+    assert np.all(said >= (1.0 - 1e-9) * first) and np.all(said < SD_PRIOR[:6] ** 2 * 1.01)
+    assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
+
+
 def test_without_receivers_on_a_body_it_says_so() -> None:
     record = driven(30.0, 0, MEAN)
     body = record.rows[
