@@ -7,8 +7,7 @@ method, each by the probability of its hypothesis. So a number is published as s
 be in the file makes it useless, and it is as wide as the file may be wrong.
 
 What no single error explains is an error of the model: what is found is as much less certain as that misfit
-is too large (Birge's ratio). It says nothing against a method's own sd, which holds its noise already: over
-fleets with right files these are rather wide.
+is too large (Birge's ratio). A method's own sd stays: its noise is as large as the data are off already.
 """
 
 import math
@@ -36,8 +35,8 @@ class WideningTuning:
     """What is added to the published variances for the machine file."""
 
     wrong: float = tuned(2 / 3, "1", "probability that a file has a wrong number, before driving")
-    """Then a number of which driving tells nothing is wrong with one in sixteen: any error of it is within 4
-    of the published sds."""
+    """Then a number that is the only one of which driving tells nothing is wrong with 1 in 11, so that any
+    error of it is within 4 of the published sds."""
     widest: float = tuned(0.3, "1", "sd of a logarithm above which a number is not given for the file's sake")
     least: float = tuned(1.1, "1", "factor by which the file must widen a number before it is not given")
     withdrawn: float = tuned(1.2, "1", "factor on that limit for a number that was given before")
