@@ -97,7 +97,9 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
     yield from others
 
 
-def _before_others(rows: Estimate, other: Estimate | None, estimates: Mapping[str, Estimate]) -> Reason | None:
+def _before_others(
+    rows: Estimate, other: Estimate | None, estimates: Mapping[str, Estimate]
+) -> Reason | None:
     """Why `rows` comes before the best other estimate; None where it does not.
 
     It has all numbers that the other one has, and knows them better on average. Of steady_state the first is

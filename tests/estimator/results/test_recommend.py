@@ -54,11 +54,21 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
         "steady_state",
         "first of",
     ),
-    ("rows know more", (estimate("rows", sd=0.04), estimate("pem")), "rows", "±7.8 % (95 %) on average, pem to ±10"),
+    (
+        "rows know more",
+        (estimate("rows", sd=0.04), estimate("pem")),
+        "rows",
+        "±7.8 % (95 %) on average, pem to ±10",
+    ),
     ("rows know less", (estimate("rows", sd=0.06), estimate("pem")), "pem", "first of"),
     ("rows have fewer", (estimate("rows", THREE, sd=0.01), estimate("pem")), "pem", "first of"),
     ("rows have more", (estimate("rows", sd=0.06), estimate("steady_state", THREE)), "rows", "in turns"),
-    ("rows alone", (estimate("rows", sd=0.2), estimate("pem", U), estimate("tracker", U)), "rows", "in turns"),
+    (
+        "rows alone",
+        (estimate("rows", sd=0.2), estimate("pem", U), estimate("tracker", U)),
+        "rows",
+        "in turns",
+    ),
     ("new rows before stale", (estimate("rows", sd=0.2), estimate("pem", S)), "rows", "in turns"),
     ("stale rows", (estimate("rows", S, sd=0.01), estimate("pem")), "pem", "first of"),
     (
