@@ -22,7 +22,7 @@ from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.channels import CHANNELS
-from tilth.schemas.flow import PARAMETERS, BodyPose, Pose, Status
+from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Code, Reason
 
@@ -91,7 +91,9 @@ def test_a_fit_of_rows_is_recommended_at_once_where_turns_told_nothing() -> None
         assert job is not None
         published = fold.adopt(state, t_ns, rows.METHOD, result(rows_state, job, mean=job.mean))
         rows_state.job = job
-        own, best = (p.value for p in published if p.topic in ("/soil_tire/rows", "/soil_tire"))
+        estimates = [p.value for p in published if isinstance(p.value, Estimate)]
+        own, best = estimates
+        assert (own.method, best.method) == ("rows", "recommended")
         assert best.parameters[0].value == own.parameters[0].value
         assert (best.parameters[0].value is not None) == confirmed
         assert best.rule == Reason(Code.ROWS_ALONE if confirmed else Code.NO_METHOD, ("rows",) * confirmed)
