@@ -106,6 +106,8 @@ class Code(StrEnum):
     CLAIMS_LESS = "claims_less"
     """Of old logs."""
     KNOWS_MORE = "knows_more"
+    IN_PATCHES = "in_patches"
+    """numbers: probability that soil differs from place to place."""
     NO_METHOD = "no_method"
     DISAGREE = "disagree"
     """of: two methods. numbers: squared distance, parameters both have, what chance allows."""

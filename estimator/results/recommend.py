@@ -15,13 +15,17 @@ from tilth.schemas.reasons import Code, Reason
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
 """Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
-from which neither can learn. No other method is recommended; of `rows` too little is known (docs/rows.md)."""
+from which neither can learn. Before them comes `place`, once a field has shown that its soil differs. No
+other method is recommended; of `rows` too little is known (docs/rows.md)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecommendationTuning:
     """Which method's estimate is recommended."""
 
+    patchy: float = tuned(
+        0.95, "1", "probability that soil differs from place to place, above which `place` is better"
+    )
     fresh_s: float = tuned(120.0, "s", "if the window of pem is older, tracker is better")
     disagree_above: Mapping[int, float] = tuned(
         {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5},
@@ -39,6 +43,8 @@ class RecommendationTuning:
 RECOMMENDATION: Final = RecommendationTuning()
 
 SINCE_CHANGE: Final = "since_soil_change_s"  # key in `excitation` of a method that detects changes at once
+PATCHY: Final = "patchy"
+"""Key in `excitation` of the method place: how probable it is that soil differs from place to place."""
 LEANS: Final = ("lean_tractor_deg", "lean_implement_deg", "cross_slope_deg")
 """Keys in tracker's `excitation`: how far the bodies lean on their tyres, and the ground under the tractor,
 right side down; the recommended estimate has them whichever method it is of."""
@@ -86,6 +92,11 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
 
 def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reason]]:
     """(estimate, rule by which it is chosen), best first; one method may come twice."""
+    of_place = estimates.get("place")
+    if of_place is not None and _is_finite(of_place) and _usable_parameters(of_place, Status.ESTIMATED):
+        patchy = of_place.excitation.get(PATCHY, 0.0)
+        if patchy > RECOMMENDATION.patchy:
+            yield of_place, Reason(Code.IN_PATCHES, (of_place.method,), (patchy,))
     sound = [estimates[m] for m in PREFERRED if m in estimates and _is_finite(estimates[m])]
     by_method = {e.method: e for e in sound}
     pem, tracker = by_method.get("pem"), by_method.get("tracker")

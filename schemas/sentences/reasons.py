@@ -103,6 +103,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
+    Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is of where the rig is",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
     Code.NO_METHOD: "no method gives an estimate",
     Code.DISAGREE: (

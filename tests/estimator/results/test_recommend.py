@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tilth.estimator.results.recommend import (
+    PATCHY,
     RECOMMENDATION,
     RECOMMENDED,
     SINCE_CHANGE,
@@ -55,6 +56,18 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
         "first of",
     ),
     ("rows are not recommended yet", (estimate("rows", sd=0.01), estimate("pem")), "pem", "first of"),
+    (
+        "soil in patches",
+        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.99}), estimate("pem")),
+        "place",
+        "differs from place to place",
+    ),
+    (
+        "one soil",
+        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.5}), estimate("pem")),
+        "pem",
+        "first of",
+    ),
     ("pem is old", (estimate("tracker"), estimate("pem", age=121.0)), "tracker", "is 121 s old"),
     ("pem has no window yet", (estimate("tracker"), estimate("pem", U)), "tracker", "not been driven yet"),
     ("pem is old, alone", (estimate("steady_state", U), estimate("pem", age=121.0)), "pem", "first of"),
