@@ -199,7 +199,7 @@ class SoilField:
         sds = np.array([window.told.model_sd for window in self.windows]).reshape(-1, 6)[of]
         methods = np.array([window.method for window in self.windows])[of]
         fixed = (units * self.prior_sd**2) @ units.T + np.diag(variances)
-        # What the surer of two windows has of errors, both have: else a difference of them would be free of it.
+        # What the surer of two windows has of errors, both have: a difference of them is not free of it.
         in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
         fixed += in_common.sum(axis=2) * (methods[:, None] == methods[None, :])
         alike = _alike(len(self.windows), len(self.windows))
