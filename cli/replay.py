@@ -281,6 +281,14 @@ def _table(title: str, estimate: Estimate) -> Table:
     if (own := estimate.own_steering) is not None:
         told = f"{100 * own.share:.0f} % of it, {math.degrees(own.rms):.2f}° rms"
         table.add_row("wheel angle in rows that is the steering's own", told, "measured", "")
+    if (at := estimate.of_place) is not None:
+        shares = (
+            ("this pass", at.this_pass),
+            ("passes before", at.neighbours),
+            ("the machine file", at.prior),
+        )
+        told = ", ".join(f"{words} {100 * share:.0f} %" for words, share in shares)
+        table.add_row("where the rig is, by", told, f"soil is alike over {at.radius_m:.0f} m", "")
     for name, (value, sd) in estimate.nuisances.items():
         table.add_row(f"{WORDS[name].words} ({name})", nuisance_text(name, value, sd) + SAYS, "nuisance", "")
     return table

@@ -23,6 +23,7 @@ from tilth.estimator.filters.unknowns import SIX, Vector
 from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
+from tilth.estimator.results.recommend import PATCHY
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
@@ -203,10 +204,10 @@ def estimate_at(
     which of the six had a number before; changed in place."""
     mean, covariance = state.prior_mean.copy(), np.zeros((len(state.prior_mean),) * 2)
     covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
-    of_place = None
+    of_place, patchy = None, 0.0
     if axles is not None and state.windows and state.origin_deg is not None:
         soil = state.soil = state.soil or SoilField(state.windows, state.prior_sd)
-        there = soil.at(axles)
+        there, patchy = soil.at(axles), soil.patchy
         mean[SIX] += there.mean
         covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
         shares = soil.shares(axles, [window.passing == state.passing for window in state.windows])
@@ -215,7 +216,7 @@ def estimate_at(
         mean, covariance, state.prior_mean, state.prior_sd, had,
         state.informed_ns if of_place else 0, state.window_s,
     )  # fmt: skip
-    excitation = {"windows": float(len(state.windows)), "pass": float(state.passing)}
+    excitation = {"windows": float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
     made = six_parameter_estimate(
         learned, machine, t_ns, METHOD, covariance[SIX, SIX], Code.NOTHING_FITTED, excitation, None, None
     )
