@@ -54,8 +54,6 @@ class RunPart:
     simulated: str = ""  # what drove instead of a tractor: a command
 
 
-
-
 class LogWriter:
     """Writes one file. Every method may raise OSError; a file that did so is spoilt beyond its last flush."""
 
