@@ -26,6 +26,7 @@ from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount, Word
 from tilth.schemas.invocation import installing
 from tilth.schemas.machine import Machine, Receiver
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.wheel_angle import compile_sensor
 
 Array = NDArray[np.float64]
@@ -204,9 +205,9 @@ class Imported:
     frames: int
 
 
-def import_table(table: Path, given: TableMap, machine: Machine, machine_text: str, out: Path) -> Imported:
+def import_table(table: Path, given: TableMap, machine_file: MachineFile, out: Path) -> Imported:
     """Write a log, which must not exist. Raises ImportProblem, OSError; then no log is left."""
-    columns = read_table(table)
+    columns, machine = read_table(table), machine_file.machine
     mounts = {receiver.mount for receiver in machine.receiver}
     for mount in given.receivers:
         if mount not in mounts:
@@ -221,7 +222,7 @@ def import_table(table: Path, given: TableMap, machine: Machine, machine_text: s
     count = 0
     try:
         run = RunPart(f"imported-{table.stem}", 1, start_ns, note=f"imported from {table.name}")
-        with closing(LogWriter(out, machine, machine_text, run)) as writer:
+        with closing(LogWriter(out, machine_file, run)) as writer:
             for frame in sorted(
                 _frames(table, columns, given, machine, time, start_ns), key=lambda one: one.t_ns
             ):

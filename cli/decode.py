@@ -17,7 +17,6 @@ from tilth.cli import add_bus_names, buses_of, say
 from tilth.cli.decode_summary import CLAIM, Summary, name_text
 from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
-from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import LogError, OpenLog, Record
@@ -28,6 +27,7 @@ from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.readable import reason_of
@@ -111,10 +111,10 @@ def _decoded() -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    machine, text = _machine(args)
+    machine_file = _machine(args)
+    machine = machine_file and machine_file.machine
     buses = buses_of(args, machine)
-    sha256 = machine_sha256(machine, text) if machine is not None else ""
-    decoding = _Decoding(machine, sha256, Decoder(machine))
+    decoding = _Decoding(machine, machine_file.sha256 if machine_file else "", Decoder(machine))
     summary = Summary()
     line = _json_line if args.json else _text_line
     if sys.stdout.isatty() and not (args.json or args.lines):
@@ -146,14 +146,14 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
-def _machine(args: argparse.Namespace) -> tuple[Machine | None, str]:
-    """The machine file given, else the one in the logs, if any, and its text. Raises MachineError."""
+def _machine(args: argparse.Namespace) -> MachineFile | None:
+    """The machine file given, else the one in the logs, if any. Raises MachineError."""
     if args.machine is not None:
         return read_machine(args.machine)
     try:
         return machine_in(args.logs, plausible=False)
     except LogError:
-        return None, ""  # without one all that needs none is decoded
+        return None  # without one all that needs none is decoded
 
 
 def _records(log: OpenLog, machine: Machine | None, buses: Mapping[str, str]) -> Iterable[Record]:

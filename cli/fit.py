@@ -101,7 +101,7 @@ def _check_same_rig(runs: Sequence[Run]) -> None:
     try:
         check_same_rig(runs)
     except CannotFit as error:
-        texts = {run.machine_text: run for run in runs}  # they may differ by their DBC files alone
+        texts = {run.machine_file.text: run for run in runs}  # they may differ by their DBC files alone
         other = [*texts.values(), runs[-1]][1]
         keys = differing(runs[0].machine, other.machine)
         raise CannotFit(f"{error}. They differ in {keys}") from None

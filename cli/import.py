@@ -35,10 +35,10 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"--out {args.out}: give a name that ends in .mcap")
     if args.out.exists():
         raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name")
-    machine, text = read_machine(args.machine)
-    say_unusual("import", machine)
+    machine_file = read_machine(args.machine)
+    say_unusual("import", machine_file.machine)
     try:
-        found = import_table(args.table, read_map(args.map), machine, text, args.out)
+        found = import_table(args.table, read_map(args.map), machine_file, args.out)
     except FileNotFoundError as error:
         raise WrongUse(f"{error.filename}: there is no such file") from None
     except ImportProblem as error:

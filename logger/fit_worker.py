@@ -8,7 +8,6 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Iterator
 from typing import IO, Any, Final
 
 from threadpoolctl import threadpool_limits

@@ -112,6 +112,8 @@ class Code(StrEnum):
     ROWS_KNOW_MORE = "rows_know_more"
     """numbers: mean sd of the logarithms, and that of the other method."""
     ROWS_ALONE = "rows_alone"
+    IN_PATCHES = "in_patches"
+    """numbers: probability that soil differs from place to place."""
     NO_METHOD = "no_method"
     DISAGREE = "disagree"
     """of: two methods. numbers: squared distance, parameters both have, what chance allows."""

@@ -27,7 +27,7 @@ from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import interval, scale_of, unit_of
@@ -112,8 +112,7 @@ def run_demo(
         if watch is not None:
             watch(endpoint)
         summary = run_daemon(
-            machine,
-            text,
+            MachineFile(machine, text),
             log_folder=log_folder,
             simulated="tilth demo",
             status=timed,

@@ -340,7 +340,7 @@ class RowFit:
     def _following(self) -> Array:
         """By what all unknowns follow the active ones, (n, a): what they were correlated with."""
         active, prior = self.active, self.prior_covariance
-        return np.linalg.solve(prior[np.ix_(active, active)], prior[active]).T
+        return np.asarray(np.linalg.solve(prior[np.ix_(active, active)], prior[active]).T, np.float64)
 
     def _covariance(self, information: Array) -> Array:
         """Of all unknowns, (n, n). information: (a + r, a + r), of the active ones and the zeros of rows."""

@@ -196,10 +196,12 @@ class SoilField:
         placed = np.zeros((r, AXLES * len(self.windows)))
         for axle in range(AXLES):
             placed[np.arange(r), AXLES * of + axle] = units[:, axle]
-        errors = units * np.array([window.told.model_sd for window in self.windows]).reshape(-1, 6)[of]
+        sds = np.array([window.told.model_sd for window in self.windows]).reshape(-1, 6)[of]
         methods = np.array([window.method for window in self.windows])[of]
         fixed = (units * self.prior_sd**2) @ units.T + np.diag(variances)
-        fixed += (errors @ errors.T) * (methods[:, None] == methods[None, :])
+        # What the surer of two windows has of errors, both have: a difference of them is not free of it.
+        in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
+        fixed += in_common.sum(axis=2) * (methods[:, None] == methods[None, :])
         alike = _alike(len(self.windows), len(self.windows))
         found, logs = [], []
         for length in SOIL_FIELD.lengths_m:
@@ -212,6 +214,11 @@ class SoilField:
                 found.append(_Hypothesis(sd, length, 0.0, covariance, inverse, alpha))
         weights = np.exp(np.array(logs) - max(logs))
         return [h._replace(weight=float(w)) for h, w in zip(found, weights / weights.sum(), strict=True)]
+
+    @property
+    def patchy(self) -> float:
+        """Probability that soil differs by more than the least of the sds."""
+        return 1.0 - sum(one.weight for one in self._hypotheses if one.sd == min(SOIL_FIELD.sds))
 
     def at(self, place: Array) -> At:
         """At a place of the rig: north and east of each axle, (3, 2), m."""

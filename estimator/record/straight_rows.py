@@ -2,9 +2,9 @@
 
 A row is driving without a gap in which wheels, headings and articulation stay near those of straight driving.
 What the wheels read when straight is the mean of the row so far, whatever the file says of the zero: where
-headings stay within 6 degrees over 100 m, it is within 0.2 degrees of straight on. Rows are collected into a block. A block is fitted when it is long enough for a first number, again when it is
-longer, and for the last time when it is full; then the next one begins. So a second of driving is in one
-block only.
+headings stay within 6 degrees over 100 m, it is within 0.2 degrees of straight on. Rows are collected into a
+block. A block is fitted when it is long enough for a first number, again when it is longer, and for the last
+time when it is full; then the next one begins. So a second of driving is in one block only.
 """
 
 import math

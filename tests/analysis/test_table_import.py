@@ -58,7 +58,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, dict[st
     folder = tmp_path_factory.mktemp("table")
     log = recorded().parts[0]
     (run,) = open_runs([log])
-    (folder / "m.toml").write_text(run.machine_text)
+    (folder / "m.toml").write_text(run.machine_file.text)
     mounts = {receiver.name: receiver for receiver in run.machine.receiver}
     text = MAP + "".join(RECEIVER.format(mount=receiver.mount.value) for receiver in mounts.values())
     (folder / "map.toml").write_text(text)

@@ -18,6 +18,7 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Word
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.signals import SIGNALS
 from tilth.simulator.traffic import simulate
@@ -132,7 +133,7 @@ def test_bus_names_are_mapped(answer: Answer, tmp_path: Path) -> None:
 
 def test_a_log_of_ours_brings_its_machine_file(answer: Answer, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, 0))
     rows: list[Frame] = list(simulate(MACHINE, 1, 3.0))
     for row in rows:
         writer.frame(row)
@@ -170,7 +171,7 @@ def test_a_state_of_another_machine_file_or_version_is_not_taken(answer: Answer,
     assert status == 0 and "another version" not in err
     assert {row["name"] for row in rows_of(out) if row["pgn"] == 129029} == {None}
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 2, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 2, 0))
     writer.snapshot(rows[0].t_ns, '{"format": "of the year 2040"}')
     writer.frame(rows[0])
     writer.close()
