@@ -30,14 +30,14 @@ from tilth.schemas.machine import Machine
 Array = NDArray[np.float64]
 
 
-class Window(NamedTuple):
+class TurnWindow(NamedTuple):
     search: Search
     noise: Array  # noise levels that `pem` found
 
 
-def fitted(machine: Machine, given: Sequence[Driven]) -> tuple[pem.PemState, list[Window]]:
+def fitted(machine: Machine, given: Sequence[Driven]) -> tuple[pem.PemState, list[TurnWindow]]:
     """What `pem` learned of a drive, each fit made when it is asked for, and its windows."""
-    state, windows = pem.initial(machine), list[Window]()
+    state, windows = pem.initial(machine), list[TurnWindow]()
 
     def fit_now(t_ns: int) -> None:
         job = pem.request_fit(state, t_ns)
@@ -50,7 +50,7 @@ def fitted(machine: Machine, given: Sequence[Driven]) -> tuple[pem.PemState, lis
             known = pem.with_known_masses(np.diag(sd**2))
             search = likelihood.search_of(job.record, rig_setup(machine), mean, known)
             scoring.leave_out_outliers(search, made.mean)
-            windows.append(Window(search, made.mean[NOISE]))
+            windows.append(TurnWindow(search, made.mean[NOISE]))
 
     for one in given:
         pem.take(state, machine, one.pose, one.segment)
@@ -63,7 +63,7 @@ def fitted(machine: Machine, given: Sequence[Driven]) -> tuple[pem.PemState, lis
 def step(
     machine: Machine,
     state: pem.PemState,
-    windows: Sequence[Window],
+    windows: Sequence[TurnWindow],
     point: Array,
     *,
     steered: bool,
