@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 SETTLED: Final = 5  # epochs at the beginning, in which the filter only finds its state
 
 
-class Told(NamedTuple):
+class TurnTold(NamedTuple):
     """What a window tells of the k unknowns of the motion at a point, without the prior."""
 
     gradient: Array  # (k,), of the cost in nats
@@ -37,7 +37,7 @@ def of_motion(search: Search) -> NDArray[np.int64]:
     return np.array([k for k in search.active if NAMES[k] not in NOISES])
 
 
-def told_by(search: Search, point: Array, *, steered: bool = True, past: bool = True) -> Told:
+def told_by(search: Search, point: Array, *, steered: bool = True, past: bool = True) -> TurnTold:
     """At a point, (n,), with the noise levels there. steered: slopes along the path that the steering alone
     gives, else along the filter's. past: whether innovations are regressed on it."""
     places = of_motion(search)
@@ -53,9 +53,9 @@ def told_by(search: Search, point: Array, *, steered: bool = True, past: bool = 
     if past:
         noise = regress([outputs[:, :, 0]], order_of(search))
         of_outputs, told = gradient_and_information(noise, [outputs[:, :, 1:]])
-        return Told(gradient + of_outputs, information + told)
+        return TurnTold(gradient + of_outputs, information + told)
     flat = outputs.reshape(-1, outputs.shape[2])
-    return Told(gradient + flat[:, 1:].T @ flat[:, 0], information + flat[:, 1:].T @ flat[:, 1:])
+    return TurnTold(gradient + flat[:, 1:].T @ flat[:, 0], information + flat[:, 1:].T @ flat[:, 1:])
 
 
 def across_bodies(record: Record, columns: Array) -> Array:
