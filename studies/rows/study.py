@@ -12,13 +12,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tilth.analysis.runs.driving import driving
-from tilth.analysis.runs.run import open_runs
+from tilth.analysis.runs.run import Run, open_runs
 from tilth.estimator.methods import rows
 from tilth.estimator.record.record import Segment, concatenate
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.flow import PARAMETERS
+
+Array = NDArray[np.float64]
 
 SEGMENT_S = 0.2
 
@@ -35,6 +38,16 @@ def longest(segments: Sequence[Segment | None]) -> list[Segment]:
     return max(stretches, key=len)
 
 
+def opened(log: Path) -> tuple[Run, Array]:
+    """(the run of a log, the true logarithms of the six, (6,)) as the head of this file says."""
+    stem = log.with_name(log.name.removesuffix(".log.gz"))
+    beside = stem != log
+    machine = read_machine(f"{stem}.toml") if beside else None
+    truth = json.loads(Path(f"{stem}.truth.json").read_text(encoding="utf-8"))
+    (run,) = open_runs(log, machine=machine)
+    return run, np.log([(truth if beside else truth["parameters"])[name] for name in PARAMETERS])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("logs", nargs="+", type=Path)
@@ -43,12 +56,7 @@ def main() -> None:
     begin, end = (round(float(part) / SEGMENT_S) for part in args.seconds.split(":"))
     ratios = []
     for log in args.logs:
-        stem = log.with_name(log.name.removesuffix(".log.gz"))
-        beside = stem != log
-        machine = read_machine(f"{stem}.toml") if beside else None
-        truth = json.loads(Path(f"{stem}.truth.json").read_text(encoding="utf-8"))
-        true = np.log([(truth if beside else truth["parameters"])[name] for name in PARAMETERS])
-        (run,) = open_runs(log, machine=machine)
+        run, true = opened(log)
         record = concatenate(longest([driven.segment for driven in driving(run)])[begin:end])
         state = rows.initial(run.machine)
         job = rows.Job(0, record.end_ns, [record], False, state.mean, state.covariance)
