@@ -1,8 +1,9 @@
 """What may have been moved, and how well each explains the difference between what was and what is.
 
 A change adds `directions @ amounts` to the constants of information.py. Those of old samples, plus drift,
-predict those of new samples. The likelihood ratio of "this has changed" against "nothing has" is a chi-square
-in as many degrees of freedom as there are amounts, largest for what fits best.
+predict those of new samples. The generalized likelihood ratio of "this has changed" against "nothing has" is
+largest for what fits best. Twice its logarithm is a chi-square in as many degrees of freedom as there are
+amounts. There are at most two, so while nothing has changed it is above x with a chance of at most exp(-x).
 """
 
 from dataclasses import dataclass
@@ -48,7 +49,7 @@ class Explanation(NamedTuple):
     """How well a suspect explains new samples."""
 
     name: str
-    chi_square: float  # by how much it makes them fit better
+    log_ratio: float  # logarithm of the generalized likelihood ratio
     amounts: Array  # (m,)
     covariance: Array  # (m, m)
 
@@ -113,8 +114,8 @@ def judge(machine: Machine, mean: Array, covariance: Array, now: InformationForm
         spread = _inverse(d.T @ weight @ d + SMALL * np.eye(d.shape[1]))
         along = d.T @ score
         amounts = spread @ along
-        found.append(Explanation(hypothesis.name, float(along @ amounts), amounts, spread))
-    return sorted(found, key=lambda explanation: -explanation.chi_square)
+        found.append(Explanation(hypothesis.name, float(along @ amounts) / 2.0, amounts, spread))
+    return sorted(found, key=lambda explanation: -explanation.log_ratio)
 
 
 def _kept(covariance: Array, now: InformationForm) -> Array:

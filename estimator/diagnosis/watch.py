@@ -1,11 +1,13 @@
 """Has something been moved since this drive began: a receiver, a pair, the wheels' sensor?
 
-Samples go into blocks of 20 s. With each whole block, what the last minute to ten minutes tell of the rig's
-constants is compared with what all driving before that told, for each suspect and each such length of time.
-A suspect that explains the difference far better than chance, by an amount that matters, in two blocks in a
-row, has been moved. From then on it is compared with how it is now, so that being put back is found too.
+Samples go into blocks of 20 s. With each whole block, what the last 40 s to ten minutes tell of the rig's
+constants is compared with what all driving before that told, for each suspect and each such length of time:
+a window-limited generalized likelihood ratio test. A suspect whose ratio is above `threshold`, by an amount
+that matters, has been moved. From then on it is compared with how it is now, so that being put back is found
+too.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -27,7 +29,6 @@ from tilth.estimator.diagnosis.sample import sample
 from tilth.estimator.diagnosis.wheel_speed import WheelSpeedState
 from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
-from tilth.estimator.rig.lifecycle import Persistence
 from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
 from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
@@ -43,19 +44,27 @@ class WatchTuning:
 
     block: int = tuned(100, "samples", "20 s")
     since: tuple[int, ...] = tuned(
-        (3, 4, 6, 9, 12, 18, 24, 30), "blocks", "ago, when something may have been moved"
+        (2, 3, 4, 6, 9, 12, 18, 24, 30), "blocks", "ago, when something may have been moved"
     )
     least_before: int = tuned(6, "blocks", "before that, to compare with")
     memory: float = tuned(180.0, "blocks", "an hour of driving over which older samples count ever less")
-    sure: float = tuned(25.0, "chi^2", "of right rigs over 40 h the largest was half of it")
-    rival: float = tuned(9.0, "chi^2", "what is worse than the best by less may be it as well")
-    twice: int = tuned(2, "blocks", "in a row")
-    nearly: float = tuned(0.6, "1", "share of the chi-square of a latency that may be a receiver")
-    clear: int = tuned(3, "blocks", "in a row after which it is said although a rival is left")
+    false_alarm: float = tuned(1000.0, "h", "of driving with one false alarm of each suspect")
+    rival: float = tuned(0.01, "1", "of the best likelihood: what explains so much may be it as well")
+    nearly: float = tuned(0.6, "1", "of the log likelihood ratio of a latency: so much, it may be a receiver")
     scatter_memory: float = tuned(0.1, "1", "share of a new block in the scatter of the rows")
 
 
 WATCH: Final = WatchTuning()
+
+
+def threshold() -> float:
+    """Of the logarithm of a likelihood ratio, for one false alarm of a suspect in T of driving.
+
+    At one look and one span of time a ratio is above x with a chance of exp(-x) at most. With a look each t
+    and n spans these chances add up to n T / t exp(-x) in T: so x = ln(n T / t).
+    """
+    looks = WATCH.false_alarm * 3600e9 / (WATCH.block * ALIGNMENT.pose_ns)
+    return math.log(len(WATCH.since) * looks)
 
 
 @dataclass(slots=True)
@@ -98,7 +107,6 @@ class WatchState:
         default_factory=lambda: np.ones(KINDS)
     )  # variance of a pose's rows over the expected
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
-    suspected: Persistence = field(default_factory=Persistence)  # blocks in which something was
     moved: list[Moved] = field(default_factory=list)
     wheel_speed: WheelSpeedState = field(default_factory=WheelSpeedState)  # of the tyres' radius
 
@@ -173,12 +181,11 @@ def _look(state: WatchState, machine: Machine) -> list[Diagnosis]:
             break
         before, now = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
         explanations = judge(machine, *posterior(before), now)
-        if best is None or explanations[0].chi_square > best[1][0].chi_square:
+        if best is None or explanations[0].log_ratio > best[1][0].log_ratio:
             best = (since, explanations)
-    if best is None or best[1][0].chi_square < WATCH.sure or not _matters(best[1][0]):
-        state.suspected.look(False)
+    if best is None or best[1][0].log_ratio < threshold() or not _matters(best[1][0]):
         return told
-    return told + _suspect(state, machine, *best)
+    return told + _found(state, machine, *best)
 
 
 def _follow(state: WatchState, machine: Machine) -> list[Diagnosis]:
@@ -208,8 +215,8 @@ def _is_back(machine: Machine, moved: Moved, now: InformationForm) -> bool:
     explanations = judge(machine, *posterior(moved.before), now)
     here = next(explanation for explanation in explanations if explanation.name == moved.names[0])
     apart = here.amounts - moved.amounts
-    chi_square = apart @ np.linalg.solve(here.covariance + moved.covariance, apart)
-    return float(chi_square) > WATCH.sure and not _matters(here)
+    log_ratio = apart @ np.linalg.solve(here.covariance + moved.covariance, apart) / 2.0
+    return float(log_ratio) > threshold() and not _matters(here)
 
 
 def carried(machine: Machine, moved: Moved) -> Moved:
@@ -231,27 +238,23 @@ def _set(moved: Moved, explanation: Explanation) -> None:
 
 def _names(explanations: list[Explanation]) -> list[str]:
     """What explains it about as well as the best does."""
-    least = explanations[0].chi_square - WATCH.rival
-    return [v.name for v in explanations if v.chi_square > least and not HYPOTHESIS[v.name].absorbed]
+    least = explanations[0].log_ratio + math.log(WATCH.rival)
+    return [v.name for v in explanations if v.log_ratio > least and not HYPOTHESIS[v.name].absorbed]
 
 
 def _like_another(explanations: list[Explanation]) -> bool:
     """Whether something that is no latency explains it nearly as well as the latency that does best."""
-    others = [v.chi_square for v in explanations if not HYPOTHESIS[v.name].absorbed]
-    return max(others) > WATCH.nearly * explanations[0].chi_square
+    others = [v.log_ratio for v in explanations if not HYPOTHESIS[v.name].absorbed]
+    return max(others) > WATCH.nearly * explanations[0].log_ratio
 
 
-def _suspect(
+def _found(
     state: WatchState, machine: Machine, since: int, explanations: list[Explanation]
 ) -> list[Diagnosis]:
-    """Something has been moved, if that is so block after block."""
+    """Something has been moved."""
     first, names = explanations[0], _names(explanations)
-    state.suspected.look(True)
-    if state.suspected.seen < (WATCH.twice if len(names) < 2 else WATCH.clear):
-        return []
     if HYPOTHESIS[first.name].absorbed and _like_another(explanations):
         return []  # a receiver that is further forward looks alike until it is driven at another speed
-    state.suspected = Persistence()
     before, after = _sum([state.old, *state.blocks[:-since]]), _sum(state.blocks[-since:])
     _absorb(state, machine, since, before, first)
     for moved in state.moved:
@@ -336,7 +339,6 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
         evidence.vector = evidence.vector - evidence.information @ shift
     state.mean = state.mean - shift
     state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
-    state.suspected = Persistence()
 
 
 def directions_of(machine: Machine, name: str) -> Any:

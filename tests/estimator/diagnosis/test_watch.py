@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import watch
 from tilth.estimator.diagnosis.accepted import acceptance, corrected, line_of
-from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses
-from tilth.estimator.diagnosis.information import AT, KINDS, N, lengths, rows
+from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses, judge, posterior
+from tilth.estimator.diagnosis.information import AT, KINDS, InformationForm, N, drift, lengths, rows
 from tilth.estimator.diagnosis.sample import BodySample, Sample, sample
 from tilth.estimator.diagnosis.watch import WATCH, WatchState
 from tilth.estimator.pose import aligner
@@ -114,9 +114,31 @@ def test_what_may_as_well_be_a_receiver_is_not_taken_for_a_latency(other: float,
     drive.drive(BEFORE)
     late = Explanation(LATENCIES[0], 100.0, np.array([0.03]), 1e-6 * np.eye(1))
     moved = Explanation("tractor_front", other, np.array([0.1, 0.0]), 1e-4 * np.eye(2))
-    for _ in range(watch.WATCH.clear):
-        assert watch._suspect(drive.state, MACHINE, 3, [late, moved]) == []
+    assert watch._found(drive.state, MACHINE, 3, [late, moved]) == []
     assert len(drive.state.blocks) == (3 if absorbed else BEFORE)
+
+
+def test_a_look_is_above_x_with_a_chance_of_exp_minus_x_at_most() -> None:
+    """While nothing is moved, of every suspect: the threshold follows from that."""
+    rng, drive = np.random.default_rng(4), Drive()
+    drive.drive(BEFORE)
+    (mean, covariance), block = posterior(watch._sum(drive.state.blocks[:-2])), drive.state.blocks[-1]
+    spread = np.linalg.cholesky(covariance + drift())
+    values, vectors = np.linalg.eigh(block.information)
+    noise = vectors * np.sqrt(np.maximum(values, 0.0))
+    looks, above = 600, dict.fromkeys(AMOUNTS, np.zeros(3))
+    for _ in range(looks):
+        vector = block.information @ (mean + spread @ rng.normal(size=N)) + noise @ rng.normal(size=N)
+        for one in judge(MACHINE, mean, covariance, InformationForm(block.information, vector)):
+            above[one.name] = above[one.name] + (one.log_ratio > np.arange(1.0, 4.0))
+    for share in above.values():
+        chance = np.exp(-np.arange(1.0, 4.0))
+        assert np.all(share / looks < chance + 4.0 * np.sqrt(chance / looks))
+
+
+def test_the_threshold_is_of_the_looks_between_two_false_alarms() -> None:
+    looks = 1000.0 * 3600.0 / 20.0 * len(WATCH.since)
+    assert looks * math.exp(-watch.threshold()) == pytest.approx(1.0)
 
 
 def test_what_is_too_small_to_matter_is_not_said() -> None:
