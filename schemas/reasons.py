@@ -74,6 +74,9 @@ class Code(StrEnum):
     NO_WINDOW_YET = "no_window_yet"
     WIDE = "wide"
     """numbers: sd of the logarithm that the data leave."""
+    OF_THE_MASS = "of_the_mass"
+    """of: the key of a mass. numbers: sd of its logarithm as the file tells it; sd of that of the stiffness
+    over the mass, which has a number."""
     NOT_LEARNED_FOR = "not_learned_for"
     NO_SOUND_DATA_FOR = "no_sound_data_for"
     NO_STEADY_DRIVING_FOR = "no_steady_driving_for"
@@ -109,6 +112,8 @@ class Code(StrEnum):
     ROWS_KNOW_MORE = "rows_know_more"
     """numbers: mean sd of the logarithms, and that of the other method."""
     ROWS_ALONE = "rows_alone"
+    IN_PATCHES = "in_patches"
+    """numbers: probability that soil differs from place to place."""
     NO_METHOD = "no_method"
     DISAGREE = "disagree"
     """of: two methods. numbers: squared distance, parameters both have, what chance allows."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tilth.estimator.results.recommend import (
+    PATCHY,
     RECOMMENDATION,
     RECOMMENDED,
     SINCE_CHANGE,
@@ -80,6 +81,18 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
     (
         "changed since the rows",
         (estimate("rows", sd=0.01), estimate("tracker", change=5.0), estimate("pem", age=4.0)),
+        "pem",
+        "first of",
+    ),
+    (
+        "soil in patches",
+        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.99}), estimate("pem")),
+        "place",
+        "differs from place to place",
+    ),
+    (
+        "one soil",
+        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.5}), estimate("pem")),
         "pem",
         "first of",
     ),
