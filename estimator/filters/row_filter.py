@@ -15,13 +15,13 @@ from tilth.estimator.filters.gates import GATES, UNLIMITED
 from tilth.estimator.filters.joint_update import JointState, UpdateWork, correct, empty_work
 from tilth.estimator.filters.measurement_model import between, noise_factor
 from tilth.estimator.filters.record_loop import over_ticks
-from tilth.estimator.filters.sensors.wheel_angle import driven_by, set_wheel_slopes, wheel_angle_at
+from tilth.estimator.filters.sensors.wheel_angle import drive_at, driven_by, set_wheel_slopes
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
 from tilth.estimator.filters.transition import multiply
-from tilth.estimator.filters.unknowns import AT_LATENCY, AT_YAW_RATE_DELAY, N_UNKNOWNS
+from tilth.estimator.filters.unknowns import AT_YAW_RATE_DELAY, N_UNKNOWNS
 from tilth.estimator.models.generated.observation_kernels import WHEEL_ANGLE_UNKNOWNS
-from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE, U
+from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE
 
 Array = NDArray[np.float64]
 
@@ -103,8 +103,8 @@ class GainRun(NamedTuple):
 @inner_kernel
 def begin_gains(k: int, on: GainRun) -> None:
     """The filter at the speed of tick k."""
-    ticks, model = on.ticks, on.model
-    at = find_speed(0.5 * (ticks[k, U] + ticks[min(k + 1, ticks.shape[0] - 1), U]), model.speeds)
+    model = on.model
+    at = find_speed(drive_at(on.ticks, k, on.state.unknowns).u, model.speeds)
     mix(model.F, at, on.F)
     mix(model.Q, at, on.Q)
     mix(model.H, at, on.sensors)
@@ -260,12 +260,9 @@ class ResponseRun(NamedTuple):
 @inner_kernel
 def begin_response(k: int, on: ResponseRun) -> AtSpeed:
     """The rig one tick later."""
-    ticks, unknowns, behind = on.row.ticks, on.unknowns, on.unknowns[AT_LATENCY]
-    after = min(k + 1, ticks.shape[0] - 1)
-    early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, after, behind)
-    u, mean = 0.5 * (ticks[k, U] + ticks[after, U]), on.row.mean_reading[0]
-    drive = driven_by(u, 0.0, 0.5 * (early + late) - mean, (late - early) / DT, unknowns)
-    at = find_speed(u, on.model.speeds)
+    unknowns, now = on.unknowns, drive_at(on.row.ticks, k, on.unknowns)
+    drive = driven_by(now.u, 0.0, now.reading - on.row.mean_reading[0], now.reading_rate, unknowns)
+    at = find_speed(now.u, on.model.speeds)
     set_wheel_slopes(drive, unknowns, on.wheel_slopes)
     step_response(at, drive.wheel, on.wheel_slopes, on.places, on.model, on.z, on.following)
     return at
