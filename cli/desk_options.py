@@ -14,7 +14,7 @@ from tilth.analysis.sensitivity.outputs import NAMES, SPEEDS
 from tilth.cli import WrongUse, exists, say
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
-from tilth.logger.log.mcap_log import software
+from tilth.logger.log.software import software
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import reason_of
 

@@ -87,10 +87,13 @@ class Kernel(KernelFunction, Generic[P, R]):
         try:
             import numba
             import numpy
+
+            from tilth.estimator import kernel_store
         except (ImportError, OSError) as error:
             self.how = f"interpreted: {error}"
             return self.interpreted()
-        versions = repr((numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER, OPTIONS))
+        for_what = (kernel_store.choose(), numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER)
+        versions = repr((*for_what, OPTIONS))
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:

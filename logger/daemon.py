@@ -32,7 +32,9 @@ from tilth.logger.run_report import RunReport
 from tilth.logger.run_summary import LoopCounts, RunSummary
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
+from tilth.logger.zenoh import place_ahead
 from tilth.logger.zenoh.liveness import Sensors
+from tilth.logger.zenoh.place_ahead import PlaceAhead
 from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
 from tilth.schemas.flow import Event, EventKind, Frame, Measurement, Ready, UtcTime
@@ -99,7 +101,10 @@ class Daemon:
         if not fold.ready:
             self._log_ready(estimation.preparing.text)
         if suffix is not None:
-            answers = {"mark": marks.marks.take, ACCEPT: accepts.requests.take, **run_report.answers}
+            answers = {
+                "mark": marks.marks.take, ACCEPT: accepts.requests.take, **run_report.answers,
+                place_ahead.KEY: PlaceAhead(fold.estimate_at).take,
+            }  # fmt: skip
             outlets.open_zenoh(lambda: ZenohSink(machine, suffix, answers=answers))
         self._status = pb.Status()  # the last
         self._next_second_ns = counts.started_ns

@@ -17,7 +17,7 @@ from tilth.logger.fitting import ReplayedFits
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter
 from tilth.replay.compare import COMPARED, Comparison
-from tilth.replay.readers.any_log import open_log, place
+from tilth.replay.readers.any_log import metadata, open_log, place
 from tilth.replay.readers.log import EmptyLog, Gap, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
 from tilth.schemas.channels import (
@@ -168,8 +168,11 @@ class _Run:
         self._unknown_before = self._unknown_now()
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
-        log = open_log(path, WITH_RESULTS if self._outputs.comparison else INPUTS)
+        comparison = self._outputs.comparison
+        log = open_log(path, WITH_RESULTS if comparison else INPUTS)
         try:
+            if comparison is not None:
+                comparison.recorded_by(metadata(log).get("tilth", {}))
             self._follow(log)
             self._records(log, buses)
         finally:

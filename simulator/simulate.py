@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import RIG_PARAMETERS
-from tilth.logger.log.mcap_log import SIMULATED, LogWriter, RunPart, software
+from tilth.logger.log.mcap_log import SIMULATED, LogWriter, RunPart
+from tilth.logger.log.software import software
 from tilth.logger.log.whole_file import whole
 from tilth.replay.simulated import TRUTH
 from tilth.schemas.flow import PARAMETERS, Frame

@@ -3,7 +3,7 @@
 from tilth.analysis.report.data import OriginFacts
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
-from tilth.logger.log.mcap_log import software
+from tilth.logger.log.software import software
 from tilth.schemas.readable import readable
 
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import fit_covariance, scoring, unknowns
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.soil_field import Told, told
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.methods import fitted
 from tilth.estimator.methods.fitted import FittedState
@@ -84,7 +85,7 @@ class Fit:
 
     mean: Array  # [n] of unknowns.NAMES
     covariance: Array  # [n, n]
-    information: Array  # [6, 6], of the window alone, on the six logarithms
+    told: Told | None  # what the window alone tells of the six
     gain: float  # nats by which the posterior before explains the window better than the machine file does
     whiteness: float
     cost: float
@@ -184,10 +185,35 @@ def fit(machine: Machine, job: Job) -> Fit:
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
         changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
         found = scoring.with_gain(anew, found.gain) if changed else found
+    refused = refusal(found, prior_mean, prior_sd)
+    alone = None if refused else _told(job.record, mean, covariance, found, (prior_mean, prior_sd))
     return Fit(
-        found.mean, found.covariance, found.information[SIX, SIX], found.gain, found.whiteness, found.cost,
-        found.iterations, found.rows, changed, refusal(found, prior_mean, prior_sd),
+        found.mean, found.covariance, alone, found.gain, found.whiteness, found.cost,
+        found.iterations, found.rows, changed, refused,
     )  # fmt: skip
+
+
+def _told(
+    record: Record,
+    mean: Array,
+    covariance: Array,
+    found: scoring.Posterior,
+    prior: tuple[Array, Array],
+) -> Told:
+    """What a window alone tells. mean, covariance: before it, (n,) and (n, n). prior: as of unknowns.prior.
+
+    Its information is as much less than the likelihood's as the published sds are wider than those by it: for
+    coloured noise and the ground, and without errors of the model, which windows have in common.
+    """
+    errors, known = fit_covariance.model_sd_of(record, found.mean), with_known_masses(covariance)
+    active = np.flatnonzero(np.diag(known) > 0.0)
+    at = np.ix_(active, active)
+    by_noise = np.diag(np.linalg.inv(np.linalg.inv(known[at]) + found.information[at]))[active < 6]
+    six = active[active < 6]
+    published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
+    wider = np.ones(6)
+    wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
+    return told(mean, known, found.mean, found.information, prior, wider, errors)
 
 
 def _posterior(

@@ -40,10 +40,15 @@ from tilth.estimator.results import advice
 from tilth.estimator.results.advice import ADVICE
 from tilth.estimator.results.method_state import MethodState, is_due, step_clock
 from tilth.estimator.results.reporting import (
+    OVER,
     REPORTING,
     age_s,
+    condition_number,
+    is_supported,
+    log_sds_over_masses,
     nothing_yet,
     nuisance_sd,
+    of_the_mass,
     parameter,
     per_mass,
     stale_reason,
@@ -384,11 +389,10 @@ def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> 
     A direction counts in the rank if its sd is below the share `supported` of the prior's.
     """
     scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
-    values = np.linalg.eigvalsh(advice.information_of(state.log_covariance, state.prior_sd[:3]) * scale)
+    information = advice.information_of(state.log_covariance, state.prior_sd[:3])
+    values = np.asarray(np.linalg.eigvalsh(information * scale), np.float64)
     rank = int(np.sum(values > supported**-2 - 1.0))
-    if values[0] <= 0:
-        return rank, None
-    return rank, float(values[-1] / values[0])
+    return rank, condition_number(values)
 
 
 def _update_supported(state: SteadyState) -> None:
@@ -405,7 +409,16 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     information = advice.information_of(state.log_covariance, state.prior_sd[:3])
     bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
-    parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
+    over_sds = _over_masses(state)
+    over = [
+        age is not None and rank == 3 and is_supported(had, sd, own)
+        for had, sd, own in zip(state.supported, over_sds, state.prior_sd[:3].tolist(), strict=True)
+    ]
+    parameters = tuple(
+        _parameter(state, k, rank, age, of_the_mass(k, _mass_sd(state, k), over_sds[k]) if over[k] else None)
+        for k in range(3)
+    )
+    masses = per_mass(machine, state.logs.tolist(), over_sds, over)
     prior_mean, prior_sd = unknowns.prior(machine)
     covariance = np.diag(prior_sd[unknowns.SIX] ** 2)
     covariance[:3, :3] = state.log_covariance
@@ -415,7 +428,8 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         model=MODEL,
         parameters=(*parameters, _RELAXATION, _RELAXATION, _RELAXATION),
         log_covariance=tuple(covariance.ravel().tolist()),
-        per_mass=per_mass(machine, parameters),
+        per_mass=masses.values,
+        per_mass_sd=masses.sds,
         nuisances={
             name: (
                 float(state.x[AT[name]]),
@@ -439,9 +453,25 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     )
 
 
-def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
-    """One stiffness, with a number only if the data support it."""
-    missing = nothing_yet(Code.NO_STEADY_TURN_YET, state.reason) if age is None else _missing(state, rank)
+def _over_masses(state: SteadyState) -> list[float]:
+    """Sds of the logarithms over the masses. The first states are compliances: they err the other way."""
+    covariance = state.P.copy()
+    covariance[:3] *= -np.exp(state.logs - state.prior_logs)[:, None]
+    return log_sds_over_masses(np.diag(state.log_covariance).tolist(), covariance, AT)
+
+
+def _mass_sd(state: SteadyState, k: int) -> float:
+    m = AT.get(OVER[k])
+    return 0.0 if m is None else math.sqrt(state.P[m, m])
+
+
+def _parameter(
+    state: SteadyState, k: int, rank: int, age: float | None, of_mass: Reason | None
+) -> ParameterEstimate:
+    """One stiffness, with a number only if the data support it. of_mass: why not, where it is the mass."""
+    missing = of_mass or _missing(state, rank)
+    if age is None:
+        missing = nothing_yet(Code.NO_STEADY_TURN_YET, state.reason)
     stale = stale_reason(Code.NO_STEADY_DRIVING_FOR, age)
     sd_log = math.sqrt(state.log_covariance[k, k])
     return parameter(state.logs[k], sd_log, state.supported[k], age, missing, stale)

@@ -142,13 +142,18 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
     excitation = {"runs": float(state.runs.max()), "late": float(state.late)}
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
+    given = [p.value is not None for p in parameters[:3]]
+    masses = per_mass(
+        machine, np.log(np.maximum(state.values[:3], 1e-9)).tolist(), log_sds[:3].tolist(), given
+    )
     return Estimate(
         t_ns=t_ns,
         method=METHOD,
         model=MODEL,
         parameters=parameters,
         log_covariance=tuple(np.diag(log_sds**2).ravel().tolist()),  # the method has no correlations
-        per_mass=per_mass(machine, parameters),
+        per_mass=masses.values,
+        per_mass_sd=masses.sds,
         rank=state.rank,
         excitation=excitation,
         window_s=state.window_s,

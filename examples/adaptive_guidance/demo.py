@@ -116,10 +116,10 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
     """Make ready what the estimators call: here the controller is to have estimates from the start.
     Raises DemoError."""
 
-    def report_progress(share: float) -> None:
+    def report_progress(done: compiling.Done) -> None:
         if stop():
             raise compiling.CompilingStopped
-        if share == 0.0:
+        if not done.functions:
             say(compiling.TEXT)
 
     try:

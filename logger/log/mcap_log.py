@@ -7,12 +7,9 @@ File order is processing order. Used by the daemon (through run_log.py) and by `
 
 import contextlib
 import os
-import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, cast
 
@@ -22,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from tilth.logger.clock import Clock, boot_id, utc_text
 from tilth.logger.log.lock import lock
+from tilth.logger.log.software import software
 from tilth.schemas.channels import CHANNEL, file_descriptor_set
 from tilth.schemas.flow import Frame, Publication
 from tilth.schemas.machine_toml import MachineFile
@@ -30,10 +28,6 @@ from tilth.schemas.proto import tilth_pb2 as pb
 CAN_TOPIC = "/can/"
 SNAPSHOT_TOPIC = "/snapshot"
 SIMULATED = "simulated"  # key of the metadata record "run"; absent where a tractor drove
-PACKAGES = (
-    "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
-    "scipy", "pyproj", "pydantic",
-)  # fmt: skip
 
 
 class ClockReason(StrEnum):
@@ -58,25 +52,6 @@ class RunPart:
     started_ns: int  # t_ns of the run's start
     note: str = ""  # what the operator says of it
     simulated: str = ""  # what drove instead of a tractor: a command
-
-
-@cache  # a search of the disk, and each new file of a run asks
-def software() -> dict[str, str]:
-    """Versions of all that computes, for the metadata record "tilth"."""
-
-    def of(package: str) -> str:
-        try:
-            return version(package)
-        except PackageNotFoundError:
-            return "not installed"
-
-    return {
-        "version": of("tilth"),
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        "processor": platform.machine(),
-        **{package: of(package) for package in PACKAGES},
-    }
 
 
 class LogWriter:

@@ -326,3 +326,23 @@ def test_a_reader_that_has_had_enough_is_no_error(tmp_path: Path) -> None:
             assert json.loads(pipe.readline())["pgn"] == 127250
         _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, err) == (0, b"")
+
+
+def test_a_terminal_gets_a_summary(tmp_path: Path) -> None:
+    """Each sender and message once; all lines where they are asked for."""
+    path = a_log(tmp_path / "a.log")
+
+    def shown(*words: str) -> str:
+        end, terminal = os.openpty()
+        done = subprocess.run(
+            [sys.executable, "-m", "tilth.cli", "decode", str(path), *words], stdout=terminal, check=True,
+            stderr=subprocess.DEVNULL, env={**os.environ, "COLUMNS": "200"},
+        )  # fmt: skip
+        os.close(terminal)
+        os.set_blocking(end, False)
+        assert done.returncode == 0
+        return os.read(end, 1 << 16).decode()
+
+    summary, lines = shown(), shown("--lines")
+    assert "a second" in summary and "a second" not in lines
+    assert lines.count("\n") > summary.count("\n") - 1

@@ -15,11 +15,12 @@ from circle import demo_machine
 from logs import MACHINE_TEXT as PACKAGED
 from logs import Live, results_of
 
-from tilth.estimator.methods import pem
+from tilth.estimator.methods import pem, rows, two_step
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_json_data
+from tilth.logger.fit_worker import in_order
 from tilth.logger.fitting import GIVEN_UP, LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.job import OUT_OF_MEMORY
@@ -134,6 +135,11 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
     assert to_json_data(InPlace(MACHINE).made(pem.METHOD, a_job())) == to_json_data(found)
     assert to_json_data(worker.made(pem.METHOD, replace(a_job(), asked_ns=9))) == to_json_data(found)
     assert worker.seconds is not None and worker.seconds > 0.0
+
+
+def test_rows_are_compiled_last() -> None:
+    """They tell nothing before two minutes; turns and the method of the dissertation are wanted sooner."""
+    assert [fitting.fit for fitting in in_order(MACHINE)] == [pem.fit, two_step.fit, rows.fit]
 
 
 def test_what_is_not_ready_is_late_and_is_not_kept_for_another(worker: Worker) -> None:

@@ -74,7 +74,7 @@ LYING_THERE: dict[str, Callable[[Path], object]] = {
     "braces": lambda path: path.write_text('{"a":' * 100_000),
     "no text": lambda path: path.write_bytes(bytes(range(256))),
     "a file of 100 MB": _large,
-    "a long number": lambda path: path.write_text('{"format": 2, "utc_ns": ' + "9" * 5000 + "}"),
+    "a long number": lambda path: path.write_text('{"format": 3, "utc_ns": ' + "9" * 5000 + "}"),
 }
 
 

@@ -22,7 +22,7 @@ from tilth.analysis.export.naming import NAMES, TOPICS, choose
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import main
-from tilth.logger.log.mcap_log import software
+from tilth.logger.log.software import software
 
 
 @pytest.fixture(scope="module")
