@@ -15,13 +15,12 @@ from tilth.estimator.filters.gates import GATES, UNLIMITED
 from tilth.estimator.filters.joint_update import JointState, UpdateWork, correct, empty_work
 from tilth.estimator.filters.measurement_model import between, noise_factor
 from tilth.estimator.filters.record_loop import over_ticks
-from tilth.estimator.filters.sensors.wheel_angle import driven_by, set_wheel_slopes, wheel_angle_at
+from tilth.estimator.filters.sensors.wheel_angle import drive_at, driven_by, set_wheel_slopes
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
 from tilth.estimator.filters.transition import multiply
-from tilth.estimator.filters.unknowns import AT_LATENCY, AT_YAW_RATE_DELAY, N_UNKNOWNS
-from tilth.estimator.models.generated.observation_kernels import WHEEL_ANGLE_UNKNOWNS
-from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE, U
+from tilth.estimator.filters.unknowns import AT_YAW_RATE_DELAY, N_UNKNOWNS
+from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE
 
 Array = NDArray[np.float64]
 
@@ -103,8 +102,8 @@ class GainRun(NamedTuple):
 @inner_kernel
 def begin_gains(k: int, on: GainRun) -> None:
     """The filter at the speed of tick k."""
-    ticks, model = on.ticks, on.model
-    at = find_speed(0.5 * (ticks[k, U] + ticks[min(k + 1, ticks.shape[0] - 1), U]), model.speeds)
+    model = on.model
+    at = find_speed(drive_at(on.ticks, k, on.state.unknowns).u, model.speeds)
     mix(model.F, at, on.F)
     mix(model.Q, at, on.Q)
     mix(model.H, at, on.sensors)
@@ -170,37 +169,32 @@ def set_gains(
 
 
 @inner_kernel
-def add_scaled(A: Array, row: int, factor: float, B: Array, other: int) -> None:
-    """Add a row of B to one of A."""
-    for j in range(A.shape[1]):
-        A[row, j] += factor * B[other, j]
+def step_columns(table: Array, at: AtSpeed, z: Array, following: Array) -> None:
+    """Fill following, (n, c), from the columns z, (m, c), of states and perhaps inputs, a tick before.
+    table: (s, n, m), of transitions at the tabulated speeds."""
+    low, share = at
+    following[:] = 0.0
+    for i in range(table.shape[1]):
+        for k in range(table.shape[2]):
+            factor = (1.0 - share) * table[low, i, k] + share * table[low + 1, i, k]
+            if factor != 0.0:
+                for j in range(z.shape[1]):
+                    following[i, j] += factor * z[k, j]
 
 
 @inner_kernel
-def step_response(
-    at: AtSpeed, wheel: float, wheel_slopes: Array, places: Places, model: StraightModel, z: Array,
-    following: Array,
-) -> None:  # fmt: skip
-    """Fill following, (13, 1 + a), from z: the state, and its slopes, one tick later."""
+def step_response(at: AtSpeed, model: StraightModel, z: Array, following: Array) -> None:
+    """Fill following, (13, 1 + a): state, and its slopes, one tick after z, (14, 1 + a), whose last row is
+    the wheel angle."""
     low, share = at
-    na = places.shape[0]
-    following[:] = 0.0
-    for i in range(N_STRAIGHT):
-        for k in range(N_STRAIGHT + 1):
-            here, there = (1.0 - share) * model.step[low, i, k], share * model.step[low + 1, i, k]
-            if k < N_STRAIGHT and here + there != 0.0:
-                add_scaled(following, i, here + there, z, k)
-            elif k == N_STRAIGHT:
-                following[i, 0] += (here + there) * wheel
-                for j in range(na):
-                    if places[j] in WHEEL_ANGLE_UNKNOWNS:
-                        following[i, 1 + j] += (here + there) * wheel_slopes[places[j]]
-            by = z[k, 0] if k < N_STRAIGHT else wheel
-            for j in range(na):
+    step_columns(model.step, at, z, following)
+    slopes = model.step_unknowns
+    for i in range(slopes.shape[1]):
+        for k in range(slopes.shape[2]):
+            for j in range(slopes.shape[3]):
                 following[i, 1 + j] += (
-                    (1.0 - share) * model.step_unknowns[low, i, k, j]
-                    + share * model.step_unknowns[low + 1, i, k, j]
-                ) * by
+                    (1.0 - share) * slopes[low, i, k, j] + share * slopes[low + 1, i, k, j]
+                ) * z[k, 0]
 
 
 @inner_kernel
@@ -226,21 +220,6 @@ def read_response(
             )
 
 
-@inner_kernel
-def step_filter(at: AtSpeed, F: Array, D: Array, following: Array) -> None:
-    """Propagate D, (25, c), the filter's state of each column. F: (s, 25, 25)."""
-    low, share = at
-    following[:] = 0.0
-    for i in range(F.shape[1]):
-        for k in range(F.shape[1]):
-            factor = (1.0 - share) * F[low, i, k] + share * F[low + 1, i, k]
-            if factor != 0.0:
-                add_scaled(following, i, factor, D, k)
-    for i in range(D.shape[0]):
-        for j in range(D.shape[1]):
-            D[i, j] = following[i, j]
-
-
 class ResponseRun(NamedTuple):
     """What the response to steering works with. Each array has a column of values, then of slopes."""
 
@@ -249,7 +228,7 @@ class ResponseRun(NamedTuple):
     unknowns: Array  # (n,)
     places: Places  # (a,)
     out: Array  # (slots, 1 + a)
-    z: Array  # (13, 1 + a)
+    z: Array  # (14, 1 + a), the state, then the wheel angle
     following: Array  # (13, 1 + a), one tick later
     D: Array  # (25, 1 + a), the filter's state
     D_following: Array  # (25, 1 + a), overwritten
@@ -260,14 +239,14 @@ class ResponseRun(NamedTuple):
 @inner_kernel
 def begin_response(k: int, on: ResponseRun) -> AtSpeed:
     """The rig one tick later."""
-    ticks, unknowns, behind = on.row.ticks, on.unknowns, on.unknowns[AT_LATENCY]
-    after = min(k + 1, ticks.shape[0] - 1)
-    early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, after, behind)
-    u, mean = 0.5 * (ticks[k, U] + ticks[after, U]), on.row.mean_reading[0]
-    drive = driven_by(u, 0.0, 0.5 * (early + late) - mean, (late - early) / DT, unknowns)
-    at = find_speed(u, on.model.speeds)
+    unknowns, now = on.unknowns, drive_at(on.row.ticks, k, on.unknowns)
+    drive = driven_by(now.u, 0.0, now.reading - on.row.mean_reading[0], now.reading_rate, unknowns)
+    at = find_speed(now.u, on.model.speeds)
     set_wheel_slopes(drive, unknowns, on.wheel_slopes)
-    step_response(at, drive.wheel, on.wheel_slopes, on.places, on.model, on.z, on.following)
+    on.z[N_STRAIGHT, 0] = drive.wheel
+    for j in range(on.places.shape[0]):
+        on.z[N_STRAIGHT, 1 + j] = on.wheel_slopes[on.places[j]]
+    step_response(at, on.model, on.z, on.following)
     return at
 
 
@@ -303,10 +282,12 @@ def take_response(i: int, k: int, at: AtSpeed, on: ResponseRun) -> None:
 @inner_kernel
 def end_response(at: AtSpeed, on: ResponseRun) -> None:
     """On to the next tick."""
-    for i in range(on.z.shape[0]):
-        for j in range(on.z.shape[1]):
+    step_columns(on.row.filter.F, at, on.D, on.D_following)
+    for j in range(on.z.shape[1]):
+        for i in range(N_STRAIGHT):
             on.z[i, j] = on.following[i, j]
-    step_filter(at, on.row.filter.F, on.D, on.D_following)
+        for i in range(on.D.shape[0]):
+            on.D[i, j] = on.D_following[i, j]
 
 
 run_response = over_ticks.with_steps(begin_tick=begin_response, take_row=take_response, end_tick=end_response)
@@ -321,7 +302,8 @@ def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places
     out[:] = 0.0
     columns, n = 1 + places.shape[0], row.gains.H.shape[1]
     on = ResponseRun(
-        row, model, unknowns, places, out, np.zeros((N_STRAIGHT, columns)), np.zeros((N_STRAIGHT, columns)),
+        row, model, unknowns, places, out,
+        np.zeros((N_STRAIGHT + 1, columns)), np.zeros((N_STRAIGHT, columns)),
         np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_UNKNOWNS),
     )  # fmt: skip
     run_response(row.ticks.shape[0], row.rows, on)
