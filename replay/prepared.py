@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from tilth.logger.log.derived import Derived
-from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
+from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256
+from tilth.logger.log.software import software
 from tilth.replay.catalogue import CatalogueRun, has_results
 from tilth.replay.kept_room import room_for
 from tilth.replay.offline import ReplayOutputs, replay

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from tilth.analysis.export.columns import FRAMES, ExportColumn
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
-from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.logger.log.mcap_log import machine_sha256
+from tilth.logger.log.software import software
 from tilth.schemas.readable import readable
 
 

@@ -3,7 +3,8 @@
 from tilth.analysis.report.data import OriginFacts
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
-from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.logger.log.mcap_log import machine_sha256
+from tilth.logger.log.software import software
 from tilth.schemas.readable import readable
 
 

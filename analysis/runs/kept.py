@@ -17,7 +17,8 @@ import zstandard
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.log import whole_file
 from tilth.logger.log.derived import Derived
-from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
+from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256
+from tilth.logger.log.software import software
 from tilth.replay.kept_room import room_for
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
