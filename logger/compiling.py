@@ -203,7 +203,7 @@ def main(words: list[str]) -> int:
     try:
         if len(words) != 1:
             raise MachineError("usage: python -m tilth.logger.compiling MACHINE.toml")
-        machine, _ = read_machine(Path(words[0]))
+        machine = read_machine(Path(words[0])).machine
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2

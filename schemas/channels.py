@@ -6,6 +6,7 @@ all come from it.
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
+from itertools import zip_longest
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -120,10 +121,12 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         message.advised.CopyFrom(pb.Advice(**asdict(estimate.advice)))
     if estimate.own_steering is not None:
         message.own_steering.CopyFrom(pb.OwnSteering(**asdict(estimate.own_steering)))
+    if estimate.of_place is not None:
+        message.of_place.CopyFrom(pb.SoilPlace(**asdict(estimate.of_place)))
     if estimate.condition is not None:
         message.condition = estimate.condition
-    per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
-    for name, parameter, ratio in zip(flow.PARAMETERS, estimate.parameters, per_mass, strict=True):
+    over_mass = zip_longest(flow.PARAMETERS, estimate.parameters, estimate.per_mass, estimate.per_mass_sd)
+    for name, parameter, ratio, ratio_sd in over_mass:
         row = message.parameters.add(
             name=name, status=int(parameter.status), reason=sentence(parameter.reason)
         )
@@ -132,6 +135,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         _set_present(row, parameter, ("value", "sd", "age_s"))
         if ratio is not None:
             row.per_mass = ratio
+        if ratio_sd is not None:
+            row.per_mass_sd = ratio_sd
     for name, (value, sd) in estimate.nuisances.items():
         message.nuisances.add(name=name, value=value, sd=sd)
     for name, amount in estimate.excitation.items():
@@ -285,6 +290,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire/tracker", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/tracker"),
     Channel("/soil_tire/pem", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem"),
     Channel("/soil_tire/rows", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/rows"),
+    Channel("/soil_tire/place", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/place"),
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),

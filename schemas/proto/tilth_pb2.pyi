@@ -201,7 +201,7 @@ class Combination(_message.Message):
     def __init__(self, exponents: _Optional[_Iterable[float]] = ..., log_sd: _Optional[float] = ...) -> None: ...
 
 class Parameter(_message.Message):
-    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass", "why")
+    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass", "per_mass_sd", "why")
     NAME_FIELD_NUMBER: _ClassVar[int]
     VALUE_FIELD_NUMBER: _ClassVar[int]
     SD_FIELD_NUMBER: _ClassVar[int]
@@ -209,6 +209,7 @@ class Parameter(_message.Message):
     REASON_FIELD_NUMBER: _ClassVar[int]
     AGE_S_FIELD_NUMBER: _ClassVar[int]
     PER_MASS_FIELD_NUMBER: _ClassVar[int]
+    PER_MASS_SD_FIELD_NUMBER: _ClassVar[int]
     WHY_FIELD_NUMBER: _ClassVar[int]
     name: str
     value: float
@@ -217,8 +218,9 @@ class Parameter(_message.Message):
     reason: str
     age_s: float
     per_mass: float
+    per_mass_sd: float
     why: Reason
-    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ..., why: _Optional[_Union[Reason, _Mapping]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ..., per_mass_sd: _Optional[float] = ..., why: _Optional[_Union[Reason, _Mapping]] = ...) -> None: ...
 
 class Nuisance(_message.Message):
     __slots__ = ("name", "value", "sd")
@@ -248,8 +250,24 @@ class OwnSteering(_message.Message):
     seconds: float
     def __init__(self, share: _Optional[float] = ..., rms: _Optional[float] = ..., seconds: _Optional[float] = ...) -> None: ...
 
+class SoilPlace(_message.Message):
+    __slots__ = ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior")
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    THIS_PASS_FIELD_NUMBER: _ClassVar[int]
+    NEIGHBOURS_FIELD_NUMBER: _ClassVar[int]
+    PRIOR_FIELD_NUMBER: _ClassVar[int]
+    latitude_deg: float
+    longitude_deg: float
+    radius_m: float
+    this_pass: float
+    neighbours: float
+    prior: float
+    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., radius_m: _Optional[float] = ..., this_pass: _Optional[float] = ..., neighbours: _Optional[float] = ..., prior: _Optional[float] = ...) -> None: ...
+
 class SoilTireEstimate(_message.Message):
-    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering")
+    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering", "of_place")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
@@ -268,6 +286,7 @@ class SoilTireEstimate(_message.Message):
     COMBINATIONS_FIELD_NUMBER: _ClassVar[int]
     ADVISED_FIELD_NUMBER: _ClassVar[int]
     OWN_STEERING_FIELD_NUMBER: _ClassVar[int]
+    OF_PLACE_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     method: str
     model: str
@@ -286,7 +305,8 @@ class SoilTireEstimate(_message.Message):
     combinations: _containers.RepeatedCompositeFieldContainer[Combination]
     advised: Advice
     own_steering: OwnSteering
-    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ..., own_steering: _Optional[_Union[OwnSteering, _Mapping]] = ...) -> None: ...
+    of_place: SoilPlace
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ..., own_steering: _Optional[_Union[OwnSteering, _Mapping]] = ..., of_place: _Optional[_Union[SoilPlace, _Mapping]] = ...) -> None: ...
 
 class FitOutcome(_message.Message):
     __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns")
