@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.methods.estimators import rows_for
 from tilth.logger.child import unpacked
-from tilth.logger.fit_worker import rehearse
+from tilth.logger.fit_worker import in_order, rehearse
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 
@@ -208,7 +208,8 @@ def main(words: list[str]) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     prepare(machine, lambda done: None if done.share else _print(TEXT))
-    rehearse(machine)
+    for fitting in in_order(machine):
+        rehearse(fitting, machine)
     return 0
 
 

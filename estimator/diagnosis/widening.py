@@ -132,7 +132,7 @@ def _over_mass(
     value, sd = estimate.per_mass[k], estimate.per_mass_sd[k]
     if value is None or sd is None:
         return None, None
-    total = math.hypot(sd / value * math.sqrt(widening.factor), math.sqrt(widening.covariance[k, k]))
+    total = math.hypot(sd / value, math.sqrt(widening.covariance[k, k]))
     return (value, value * total) if total <= _limit(sd / value, had) else (None, None)
 
 

@@ -389,7 +389,8 @@ def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> 
     A direction counts in the rank if its sd is below the share `supported` of the prior's.
     """
     scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
-    values = np.linalg.eigvalsh(advice.information_of(state.log_covariance, state.prior_sd[:3]) * scale)
+    information = advice.information_of(state.log_covariance, state.prior_sd[:3])
+    values = np.asarray(np.linalg.eigvalsh(information * scale), np.float64)
     rank = int(np.sum(values > supported**-2 - 1.0))
     return rank, condition_number(values)
 
