@@ -23,7 +23,7 @@ def verified(path: Path, disguise: str) -> tuple[int, dict[str, Any]]:
     """Status and answer of `tilth replay --verify`."""
     words = [sys.executable, "-m", "tilth.cli", "replay", "--verify", "--json", str(path)]
     done = subprocess.run(words, env=disguised(disguise), check=False, capture_output=True, text=True)
-    assert not done.stderr, done.stderr
+    assert done.returncode in (0, 1), done.stderr
     found: dict[str, Any] = json.loads(done.stdout)["verify"]
     return done.returncode, found
 
