@@ -28,7 +28,7 @@ class InPackage(InTreeCacheLocator):
     """numba's locator of kernels that are kept in the package: in a checkout, and while a wheel is built."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
-        super().__init__(py_func, py_file)
+        super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
         self._cache_path = str(PACKAGED)
 
     def get_source_stamp(self) -> str:
@@ -39,7 +39,9 @@ class InPackage(InTreeCacheLocator):
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
-        return super().from_function(py_func, py_file) if PACKAGED.is_dir() else None
+        if not PACKAGED.is_dir():
+            return None
+        return super().from_function(py_func, py_file)  # type: ignore[no-untyped-call]
 
 
 class Packaged(InPackage):
@@ -72,7 +74,8 @@ def has_baseline() -> bool:
 def target() -> str:
     """What kernels are compiled for: a name without a slash."""
     settings: Any = config
-    return settings.CPU_NAME or get_host_cpu_name()
+    name: str = settings.CPU_NAME or get_host_cpu_name()
+    return name
 
 
 @functools.cache

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ class ReportingTuning:
 REPORTING: Final = ReportingTuning()
 
 
-def condition_number(eigenvalues: Array) -> float | None:
+def condition_number(eigenvalues: NDArray[np.floating[Any]]) -> float | None:
     """Largest over smallest of an information's; None where a direction is not determined at all."""
     largest, smallest = float(eigenvalues.max()), float(eigenvalues.min())
     return largest / smallest if smallest * REPORTING.worst_condition > largest else None

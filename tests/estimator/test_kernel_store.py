@@ -30,8 +30,8 @@ from tilth.logger.machine_file import read_machine
 machine, _ = read_machine(Path(sys.argv[1]))
 began = time.process_time()
 ready = compiling.load(machine)
-if ready:
-    fit_worker.rehearse(machine)
+for fitting in fit_worker.in_order(machine) if ready else ():
+    fit_worker.rehearse(fitting, machine)
 import tilth.estimator.kernel_store as store
 print(json.dumps([ready, Compilations.compiled, str(store.PACKAGED), store.target()]))
 """
@@ -93,9 +93,9 @@ def test_for_another_processor_nothing_is_taken_from_the_package(installed: Path
 
 def test_the_baseline_is_what_this_family_of_processors_has(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel_store, "get_host_cpu_features", lambda: {"avx2": True, "fma": False})
-    monkeypatch.setattr(kernel_store.platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr("platform.machine", lambda: "x86_64")
     assert not kernel_store.has_baseline()
-    monkeypatch.setattr(kernel_store.platform, "machine", lambda: "riscv64")
+    monkeypatch.setattr("platform.machine", lambda: "riscv64")
     assert not kernel_store.has_baseline()
-    monkeypatch.setattr(kernel_store.platform, "machine", lambda: "aarch64")
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
     assert kernel_store.has_baseline()
