@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters.unknowns import SIX
-from tilth.estimator.methods.pem import PemState, drifted
+from tilth.estimator.methods.pem import PemState, drifted, with_known_masses
 from tilth.estimator.methods.rows import RowsState, learned_covariance
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
@@ -67,7 +67,7 @@ def of_tracker(state: TrackerState) -> Learned:
 
 def into_tracker(state: TrackerState, learned: Learned) -> None:
     """Put what was learned into a fresh state."""
-    state.mean, state.covariance = learned.mean, learned.covariance
+    state.mean, state.covariance = learned.mean, with_known_masses(learned.covariance)
     state.window_s = _counted(learned, "window_s")
     state.tight_s = _counted(learned, "tight_s")  # what was learned in them stays as uncertain
     state.hard = _counted(learned, "hard")
