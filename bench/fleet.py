@@ -4,10 +4,10 @@
                           [--summary]
 
 Drive k is of rig k of simulator/fleet.py, and of cell k of bench/fleet_design.py: each 60 drives in a row are
-all cells once, and fewer are nearly balanced. The file of each rig is its owner's; with --mass-sd it is of
-one who has not weighed the implement: then give another FILE. What is done is kept in FILE, a line each, and
-not done again; --first gives fresh rigs. `python bench/estimation.py fleet` prints the same
-table.
+all cells once, and fewer are nearly balanced. The file of each rig is its owner's; with
+--mass-sd it is of one who has not weighed the implement: then give another FILE. What is done is kept in
+FILE, a line each, and not done again; --first gives fresh rigs. `python bench/estimation.py fleet` prints the
+same table.
 
 Times count from when the wheels first turn beyond INFORMED. A file "has numbers" where C_af, C_ar and C_ai
 are given with sds of 30 % at most. Numbers are judged as they were given last, though they may have been

@@ -22,6 +22,7 @@ from tilth.schemas.flow import (
     OwnSteering,
     ParameterEstimate,
     Pose,
+    SoilPlace,
     Status,
     known_flags,
 )
@@ -111,7 +112,15 @@ def estimate_of(data: bytes, encoding: str) -> Estimate:
         bound=tuple(message.bound),
         advice=_advice(message.advised),
         own_steering=_own_steering(message),
+        of_place=_of_place(message),
     )
+
+
+def _of_place(message: pb.SoilTireEstimate) -> SoilPlace | None:
+    if not message.HasField("of_place"):
+        return None
+    at = message.of_place
+    return SoilPlace(at.latitude_deg, at.longitude_deg, at.radius_m, at.this_pass, at.neighbours, at.prior)
 
 
 def _own_steering(message: pb.SoilTireEstimate) -> OwnSteering | None:

@@ -17,7 +17,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods import open_tracker, place
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -26,9 +26,9 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record import record_builder
 from tilth.estimator.results.flag_events import flag_events
-from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
+from tilth.estimator.results.method_state import take_events
+from tilth.estimator.results.recommend import OFFERED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state import State as State
 from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
@@ -138,6 +138,16 @@ def estimates_now(state: State) -> dict[str, Estimate]:
         for row in rows_for(state.machine)
     }
     return {**now, RECOMMENDED: recommend(now, state.latest_ns, state.disagree)}
+
+
+def estimate_at(state: State, x: float, y: float) -> Estimate:
+    """What the memory by place says of where the rig is not, as it may be published. Changes nothing; any
+    thread. x, y: north and east of the tractor's rear axle, m, in the plane of the poses; the bodies in line
+    as they head now."""
+    memory = state.estimators[place.METHOD]
+    axles = place.axles_ahead(memory, state.machine, x, y)
+    made = place.estimate_at(memory, state.machine, state.latest_ns, axles, list(memory.has_number))
+    return diagnosis.withheld(state.diagnosis, made)
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
@@ -337,7 +347,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
         estimate = diagnosis.checked(state.diagnosis, state.machine, estimate)
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-    if not any(estimate.method in PREFERRED for estimate in estimates):
+    if not any(estimate.method in OFFERED for estimate in estimates):
         return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:
@@ -353,6 +363,9 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
+    for other in rows_for(state.machine):
+        if other.learn is not None and made is not None and method_state.job is not None:
+            other.learn(state.estimators[other.method], method_state.job, made)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _publish_events(state, t_ns, row, out)
     _publish_estimates(state, t_ns, [estimate], out)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.soil_field import KeptSoil
 from tilth.estimator.methods.estimators import Memory, rows_for
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.state_json import Shape
@@ -41,6 +42,7 @@ class SavedPosterior:
     covariance: Annotated[Array, Shape((-1, -1))]
     age_s: float  # time from the last data that it learned from to the moment of saving
     counts: dict[str, float]  # counters that continue, by name
+    soil: KeptSoil | None = None  # of the method place
 
 
 def save_learned(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> dict[str, SavedPosterior]:
@@ -56,7 +58,7 @@ def save_learned(machine: Machine, estimators: Mapping[str, Any], t_ns: int) -> 
         learned = memory.learned(method_state)
         age_s = max(t_ns - method_state.informed_ns, 0) * 1e-9
         saved[row.method] = SavedPosterior(
-            memory.names, learned.mean, learned.covariance, age_s, dict(learned.counts)
+            memory.names, learned.mean, learned.covariance, age_s, dict(learned.counts), learned.soil
         )
     return saved
 
@@ -94,7 +96,8 @@ def _refusal(memory: Memory, fresh: Learned, saved: SavedPosterior) -> Code | No
     expected = (memory.names, prior.shape[:1], prior.shape)
     if (saved.names, saved.mean.shape, saved.covariance.shape) != expected:
         return Code.SAVED_BY_ANOTHER_VERSION
-    if not (np.all(np.isfinite(saved.mean)) and np.all(np.isfinite(saved.covariance))):
+    finite = np.all(np.isfinite(saved.mean)) and np.all(np.isfinite(saved.covariance))
+    if not finite or not (saved.soil is None or saved.soil.finite):
         return Code.SAVED_NOT_FINITE
     block = saved.covariance[np.ix_(active, active)]
     if not np.allclose(block, block.T, atol=1e-9) or np.linalg.eigvalsh(block)[0] <= 0.0:
@@ -124,4 +127,4 @@ def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: flo
     new_mean, new = prior_mean.copy(), prior.copy()
     new_mean[active] = faded @ vector
     new[block] = (faded + faded.T) / 2.0
-    return Learned(new_mean, new, saved.counts)
+    return Learned(new_mean, new, saved.counts, saved.soil and saved.soil.faded(share))

@@ -16,6 +16,7 @@ from tilth.estimator.fold import (
     adopt,
     carry,
     decide,
+    estimate_at,
     finish,
     initial,
     pending,
@@ -94,6 +95,10 @@ class GuardedFold:
         """Latitude and longitude of the tractor's centre of gravity at the last pose that had a position."""
         place = self.state.place
         return (None, None) if place is None else to_degrees(place[:2], *place[2:])
+
+    def estimate_at(self, x: float, y: float) -> Estimate:
+        """As `fold.estimate_at`, of the state that there is now."""
+        return estimate_at(self.state, x, y)
 
     @property
     def ready(self) -> bool:

@@ -366,6 +366,18 @@ class OwnSteering:
 
 
 @dataclass(frozen=True, slots=True)
+class SoilPlace:
+    """Where an estimate is of, and what it rests on: shares that add up to 1."""
+
+    latitude_deg: float  # of the tractor's rear axle
+    longitude_deg: float
+    radius_m: float  # over which the soil of this field is alike
+    this_pass: float  # by what was driven since the rig last turned round
+    neighbours: float  # by passes before
+    prior: float  # by the machine file
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """What one estimator says of the six parameters at one instant."""
 
@@ -386,6 +398,7 @@ class Estimate:
     bound: tuple[float, ...] = ()  # sd of each logarithm by the data alone, infinite where open; or empty
     advice: Advice | None = None  # which manoeuvre would help, and by how much
     own_steering: OwnSteering | None = None  # of the method `rows`: in the rows fitted last
+    of_place: SoilPlace | None = None  # of the method `place`
 
 
 class EventKind(StrEnum):

@@ -1,6 +1,8 @@
 """From the TOML text of a machine file to a Machine that can be a real rig."""
 
+import hashlib
 import tomllib
+from typing import NamedTuple
 
 from pydantic import ValidationError
 
@@ -8,6 +10,18 @@ from tilth.schemas.ballast import as_driven
 from tilth.schemas.file_problem import sentence
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import refuse_impossible
+
+
+class MachineFile(NamedTuple):
+    """A machine file: what it says, and its own text, as it goes into the log."""
+
+    machine: Machine
+    text: str
+
+    @property
+    def sha256(self) -> str:
+        """Of the text and of that of the DBC file it names: tells whether a snapshot fits."""
+        return hashlib.sha256((self.text + (self.machine.wheel_angle.dbc_text or "")).encode()).hexdigest()
 
 
 def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = True) -> Machine:

@@ -127,12 +127,12 @@ class SoilField:
 
     theta: Array  # (6,), without changes and patches
     changes: tuple[SoilChange, ...]
-    patches: tuple[Waves, Array] | None  # along unit vectors, shape (WAVES, 2)
+    patches: tuple[tuple[Waves, Array], ...]  # of all axles, and of each besides; along vectors (WAVES, 2)
     rig: Rig
 
     @property
     def uniform(self) -> bool:
-        return not self.changes and self.patches is None
+        return not self.changes and not self.patches
 
     def at(self, t: Array | float, states: Array) -> Array:
         """Parameters under the axles, shape (..., 6). t: s, shape (...); states: (..., 13)."""
@@ -141,10 +141,10 @@ class SoilField:
         for change in self.changes:
             factors = np.log([getattr(change, name) for name in PARAMETERS])
             log += share(change, t, axles)[..., AXLE_OF] * factors
-        if self.patches is not None:
-            wave, direction = self.patches
-            angle = (axles @ direction.T) * wave.wavenumber + wave.phase
-            log[..., :3] += wave.amplitude * np.cos(angle).sum(axis=-1)
+        for k, (wave, direction) in enumerate(self.patches):
+            felt = slice(0, 3) if k == 0 else slice(k - 1, k)
+            angle = (axles[..., felt, :] @ direction.T) * wave.wavenumber + wave.phase
+            log[..., felt] += wave.amplitude * np.cos(angle).sum(axis=-1)
         return np.asarray(self.theta * np.exp(log))
 
 
@@ -174,13 +174,14 @@ def share(change: SoilChange, t: Array | float, axles: Array) -> Array:
 
 def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.Generator) -> SoilField:
     """The soil of a scenario; `parameters`: the six before any change."""
-    patches = None
+    patches = []
     if soil.patch_log_sd > 0.0:
-        band = (soil.patch_length, PATCH_BAND * soil.patch_length)
-        wave, angle = waves(rng, soil.patch_log_sd, band), rng.uniform(0.0, np.pi, WAVES)
-        patches = wave, np.column_stack([np.cos(angle), np.sin(angle)])
+        band, own = (soil.patch_length, PATCH_BAND * soil.patch_length), math.sqrt(1.0 - soil.patch_common)
+        for part in (math.sqrt(soil.patch_common), *(own,) * (len(AXLES) if own else 0)):
+            wave, angle = waves(rng, part * soil.patch_log_sd, band), rng.uniform(0.0, np.pi, WAVES)
+            patches.append((wave, np.column_stack([np.cos(angle), np.sin(angle) / soil.patch_across])))
     theta = np.array([parameters[name] for name in PARAMETERS])
-    return SoilField(theta, soil.changes, patches, rig)
+    return SoilField(theta, soil.changes, tuple(patches), rig)
 
 
 def crossings(

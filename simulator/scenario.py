@@ -238,6 +238,8 @@ class Soil:
     changes: tuple[SoilChange, ...] = ()
     patch_log_sd: Annotated[float, Field(ge=0, le=1)] = 0.0  # stiffness here and there, natural logarithm
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
+    patch_across: Annotated[float, Field(ge=0.1, le=10)] = 1.0  # their length to east over that to north
+    patch_common: Share = 1.0  # correlation of the patches that different axles feel
 
 
 # What a machine file does not say of the rig, for either plant.

@@ -12,10 +12,10 @@ from typing import Any
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.filters import steady_outputs, unknowns
-from tilth.estimator.methods import learned, pem, rows, steady_state, tracker, two_step
+from tilth.estimator.methods import learned, pem, place, rows, steady_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.record.record import Segment
-from tilth.schemas.flow import Estimate, Pose
+from tilth.schemas.flow import PARAMETERS, Estimate, Pose
 from tilth.schemas.machine import Machine
 
 
@@ -58,6 +58,9 @@ class Estimator:
     enabled: Callable[[Machine], bool] = lambda machine: True  # whether it runs with this machine file
     prepare: Callable[[Machine], None] = lambda machine: None  # compiles what `take` needs; changes nothing
     kernels: tuple[Kernel[..., Any], ...] = ()  # that `prepare` compiles
+    learn: Callable[[Any, Any, Any], None] | None = (
+        None  # (state, job, result): take what a fit of another row has told, before that row adopts it
+    )
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -106,6 +109,16 @@ ESTIMATORS: tuple[Estimator, ...] = (
             rows.TUNING.latency_ns, rows.request_fit, rows.fit, rows.rehearse, rows.adopt, rows.finish
         ),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_rows, learned.into_rows),
+    ),
+    Estimator(
+        place.METHOD,
+        place.PlaceState,
+        place.initial,
+        place.take,
+        place.estimate,
+        place.clock_stepped,
+        memory=Memory(PARAMETERS, (), learned.of_place, learned.into_place),
+        learn=place.learn,
     ),
     Estimator(
         two_step.METHOD,

@@ -2,14 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.soil_field import KeptSoil
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods.pem import PemState, drifted, with_known_masses
+from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.methods.rows import RowsState, learned_covariance
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
@@ -38,6 +40,7 @@ class Learned:
     mean: Array  # [n]
     covariance: Array  # [n, n]
     counts: Mapping[str, float]  # name -> counter that continues in the next run
+    soil: KeptSoil | None = None  # of the method place
 
 
 def of_steady_state(state: SteadyState) -> Learned:
@@ -103,6 +106,23 @@ def into_rows(state: RowsState, learned: Learned) -> None:
     state.before_mean, state.before_covariance = learned.mean.copy(), learned.covariance.copy()
     state.fits = int(_counted(learned, "fits"))
     state.window_s = state.before_s = _counted(learned, "window_s")
+
+
+def of_place(state: PlaceState) -> Learned:
+    """What this method has learned, from its state: all of it stands in `soil`."""
+    soil = KeptSoil(state.origin_deg, list(state.windows)) if state.origin_deg else None
+    prior = np.diag(state.prior_sd[SIX] ** 2)
+    return Learned(state.prior_mean[SIX].copy(), prior, {"window_s": state.window_s}, soil)
+
+
+def into_place(state: PlaceState, learned: Learned) -> None:
+    """Put what was learned into a fresh state."""
+    state.window_s = _counted(learned, "window_s")
+    if learned.soil is not None:
+        state.origin_deg = learned.soil.origin_deg
+        state.windows = [
+            replace(window, passing=-1) for window in learned.soil.windows
+        ]  # of no pass of this run
 
 
 def _counted(learned: Learned, name: str) -> float:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX, UNKNOWNS
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import ADVICE
+from tilth.estimator.results.method_state import SixState
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Code, Reason
 
 Array = NDArray[np.float64]
@@ -31,34 +31,16 @@ class ReportingTuning:
     withdrawn: float = tuned(0.6, "1", "posterior over prior sd, above which a number is withdrawn")
     largest_deviation: float = tuned(4.5, "sd", "of the prior: a value further from its mean is no tyre's")
     rank_gain: float = tuned(3.0, "1", "information over the prior's, for a direction to be determined")
+    worst_condition: float = tuned(1e9, "1", "of what the data determine; beyond, it is rounding that speaks")
 
 
 REPORTING: Final = ReportingTuning()
 
 
-class Learning(Protocol):
-    """State of a method that learns unknowns.NAMES, arrays in their order. Times ns."""
-
-    mean: Array
-    covariance: Array
-    prior_mean: Array
-    prior_sd: Array
-    has_number: list[bool]  # whether each of the six had a number in the last estimate
-    informed_ns: int  # when it last learned from data, 0: never
-    window_s: float
-    reason: Code | None  # why nothing is learned now
-
-
-class Reporting(Protocol):
-    """State of a method that reports events."""
-
-    events: list[tuple[str, Notice]]  # with their kinds, not taken yet
-
-
-def take_events(state: Reporting) -> list[tuple[str, Notice]]:
-    """(kind, notice) of a method's events since the last call."""
-    events, state.events = state.events, []
-    return events
+def condition_number(eigenvalues: Array) -> float | None:
+    """Largest over smallest of an information's; None where a direction is not determined at all."""
+    largest, smallest = float(eigenvalues.max()), float(eigenvalues.min())
+    return largest / smallest if smallest * REPORTING.worst_condition > largest else None
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:
@@ -147,7 +129,7 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
 
 
 def six_parameter_estimate(
-    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
+    state: SixState, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
     excitation: dict[str, float], advised: Advice | None, stale: Reason | None,
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
@@ -194,7 +176,7 @@ def six_parameter_estimate(
             if k > 5
         },
         rank=int(np.sum(eigenvalues > REPORTING.rank_gain)),
-        condition=float(eigenvalues.max() / eigenvalues.min()) if eigenvalues.min() > 0.0 else None,
+        condition=condition_number(eigenvalues),
         excitation=excitation,
         window_s=state.window_s,
         determined=advice.determined(information, prior_sd) if age is not None else (),

@@ -250,8 +250,24 @@ class OwnSteering(_message.Message):
     seconds: float
     def __init__(self, share: _Optional[float] = ..., rms: _Optional[float] = ..., seconds: _Optional[float] = ...) -> None: ...
 
+class SoilPlace(_message.Message):
+    __slots__ = ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior")
+    LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    THIS_PASS_FIELD_NUMBER: _ClassVar[int]
+    NEIGHBOURS_FIELD_NUMBER: _ClassVar[int]
+    PRIOR_FIELD_NUMBER: _ClassVar[int]
+    latitude_deg: float
+    longitude_deg: float
+    radius_m: float
+    this_pass: float
+    neighbours: float
+    prior: float
+    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., radius_m: _Optional[float] = ..., this_pass: _Optional[float] = ..., neighbours: _Optional[float] = ..., prior: _Optional[float] = ...) -> None: ...
+
 class SoilTireEstimate(_message.Message):
-    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering")
+    __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering", "of_place")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     MODEL_FIELD_NUMBER: _ClassVar[int]
@@ -270,6 +286,7 @@ class SoilTireEstimate(_message.Message):
     COMBINATIONS_FIELD_NUMBER: _ClassVar[int]
     ADVISED_FIELD_NUMBER: _ClassVar[int]
     OWN_STEERING_FIELD_NUMBER: _ClassVar[int]
+    OF_PLACE_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     method: str
     model: str
@@ -288,7 +305,8 @@ class SoilTireEstimate(_message.Message):
     combinations: _containers.RepeatedCompositeFieldContainer[Combination]
     advised: Advice
     own_steering: OwnSteering
-    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ..., own_steering: _Optional[_Union[OwnSteering, _Mapping]] = ...) -> None: ...
+    of_place: SoilPlace
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ..., own_steering: _Optional[_Union[OwnSteering, _Mapping]] = ..., of_place: _Optional[_Union[SoilPlace, _Mapping]] = ...) -> None: ...
 
 class FitOutcome(_message.Message):
     __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns")

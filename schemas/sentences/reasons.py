@@ -107,7 +107,10 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
+    Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is of where the rig is",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
+    Code.ROWS_KNOW_MORE: "{of[0]}: it knows the numbers to {n[0]:share} on average, {of[1]} to {n[1]:share}",
+    Code.ROWS_ALONE: "{of[0]}: no method that learns in turns has numbers",
     Code.NO_METHOD: "no method gives an estimate",
     Code.DISAGREE: (
         "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} over {n[1]:.0f} parameters, of which "

@@ -15,9 +15,9 @@ from loopback import rig
 from tilth.estimator import fold
 from tilth.estimator.diagnosis.information import InformationForm
 from tilth.estimator.diagnosis.watch import Moved
-from tilth.estimator.filters import unknowns
+from tilth.estimator.filters import soil_field, unknowns
 from tilth.estimator.fold import resume, save_learned
-from tilth.estimator.methods import pem, rows, steady_state, tracker
+from tilth.estimator.methods import pem, place, rows, steady_state, tracker
 from tilth.estimator.methods.estimators import ESTIMATORS, ROW
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import WHEEL
@@ -34,7 +34,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Event, Frame, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import event_sentence, sentence
@@ -57,6 +57,11 @@ def teach(state: fold.State, informed_ns: int) -> None:
         covariance = root @ root.T + np.diag((0.01 * sd) ** 2)
         memory.resume(ours, replace(known, mean=known.mean + 0.1 * sd, covariance=covariance))
         ours.informed_ns = informed_ns
+    memory_of_place = state.estimators[place.METHOD]
+    memory_of_place.origin_deg, memory_of_place.informed_ns = (43.5, -83.4), informed_ns
+    path = rng.normal(size=(soil_field.SOIL_FIELD.points, 3, 2))
+    known_now = soil_field.Told(100.0 * np.eye(6), rng.normal(size=6), np.full(6, 0.1))
+    memory_of_place.windows = [soil_field.SoilWindow(pem.METHOD, 0, 3, path, known_now)]
     state.diagnosis.consistency.confirmed = True
     state.estimators[pem.METHOD].fits = 3
     state.estimators[pem.METHOD].window_s = 90.0
@@ -127,6 +132,19 @@ def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
     prior = sds(fold.initial(MACHINE))[unknowns.SIX]
     assert aged[3] == pytest.approx(prior)
     assert state.estimators[pem.METHOD].mean == pytest.approx(unknowns.prior(MACHINE)[0])
+
+
+def test_what_windows_told_of_a_place_grows_less_and_is_of_no_pass_of_this_run() -> None:
+    state, kept = fold.initial(MACHINE), save_learned(taught(), NOW)
+    resume(state, kept, WARM_START.doubles_s, NOW)
+    (before,), (after,) = (each.estimators[place.METHOD].windows for each in (taught(), state))
+    assert after.told.information == pytest.approx(before.told.information / 4.0) and after.passing == -1
+    assert np.array_equal(after.path, before.path)
+    axles = before.path[0]
+    long_ago = fold.initial(MACHINE)
+    resume(long_ago, kept, 100.0 * WARM_START.doubles_s, NOW)
+    now = place.estimate_at(long_ago.estimators[place.METHOD], MACHINE, NOW, axles, [False] * 6)
+    assert all(p.value is None for p in now.parameters)
 
 
 def test_a_scalar_fades_by_the_formula() -> None:
@@ -223,7 +241,7 @@ def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str,
 @pytest.mark.parametrize(
     "change",
     [
-        lambda plain: {**plain, "format": 3},
+        lambda plain: {**plain, "format": 4},
         lambda plain: {k: v for k, v in plain.items() if k != "sections"},
         lambda plain: {**plain, "methods": {"pem": {"mean": 5}}},
         lambda plain: {**plain, "methods": []},
@@ -268,7 +286,7 @@ def talker() -> Iterator[can.BusABC]:
 def a_run(folder: Path, described: tuple[Machine, str] | None = None, **options: Any) -> tuple[Daemon, Told]:
     machine, text = described or rig(folder, VIRTUAL)
     result = Told()
-    daemon = Daemon(machine, text, folder, None, result, **options)
+    daemon = Daemon(MachineFile(machine, text), folder, None, result, **options)
     daemon.turn(0.0)
     return daemon, result
 
@@ -288,7 +306,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     second_rig = rig(tmp_path, VIRTUAL)
     second, result = a_run(tmp_path, second_rig, keep=True)
     (said,) = result.of_warm_start()
-    assert said.startswith("steady_state, tracker, pem, rows go on from ")
+    assert said.startswith("steady_state, tracker, pem, rows, place go on from ")
     assert second.parts.estimation.fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)
@@ -297,7 +315,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert kinds[0] is Snapshot  # before any frame
     machine, text = second_rig
     comparison = Comparison()
-    summary = replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
+    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
 
@@ -400,7 +418,7 @@ def test_what_was_found_moved_stays_so_after_a_restart(
         assert "wheel_angle.zero" in sentence(given[0].reason)
     logs = second.close().log_files
     comparison = Comparison()
-    replay(logs, *second_rig, outputs=ReplayOutputs(comparison=comparison))
+    replay(logs, MachineFile(*second_rig), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
 
 

@@ -182,6 +182,30 @@ def test_patches_change_stiffness_with_the_place_only() -> None:
     assert again[1] == pytest.approx(two[0])  # the rear axle where the front one was
 
 
+@pytest.mark.parametrize(("common", "expected"), [(1.0, 1.0), (0.4, 0.4), (0.0, 0.0)])
+def test_axles_feel_patches_as_much_alike_as_asked_for(common: float, expected: float) -> None:
+    asked = Soil(patch_log_sd=0.2, patch_length=30.0, patch_common=common)
+    # As all three stand at one place, of many.
+    logs = np.array([
+        [np.log(soil.at(0.0, standing(-ahead)) / RIG.theta)[axle] for axle, ahead in
+         enumerate((RIG.a, -RIG.b, -RIG.c - RIG.d - RIG.e))]
+        for soil in (field(asked, THETA, RIG, rng(k)) for k in range(600))
+    ])  # fmt: skip
+    assert logs.std(axis=0) == pytest.approx([0.2] * 3, rel=0.1)
+    assert np.corrcoef(logs.T)[np.triu_indices(3, 1)] == pytest.approx([expected] * 3, abs=0.12)
+
+
+def test_patches_may_be_longer_across_than_along() -> None:
+    soil = field(Soil(patch_log_sd=0.2, patch_length=30.0, patch_across=4.0), THETA, RIG, rng(5))
+    places = rng(6).uniform(-3000.0, 3000.0, (1500, 2))
+    logs = [
+        np.log(soil.at(0.0, np.stack([standing(*at) for at in places + step])) / RIG.theta)[:, 0]
+        for step in ([0.0, 0.0], [15.0, 0.0], [0.0, 15.0])
+    ]
+    along, across = (np.std(other - logs[0]) for other in logs[1:])
+    assert across < 0.5 * along
+
+
 def test_crossings_are_told_with_their_axles() -> None:
     changes = (
         SoilChange(north=20.0, east=0.0, over=5.0),

@@ -1,0 +1,217 @@
+"""A memory by place: what windows of driving have told of the soil where they were, for where the rig is now.
+
+It learns nothing from the record itself: each window that pem or rows have fitted leaves what it *added* to
+what was known before it, with the way that the axles went. What is known before never comes in, so no second
+of driving counts twice, and a second pass does not take up the first. The field of soil that these tell of
+(filters/soil_field.py) gives the six under the axles now, each at its own axle's place. pem and rows take
+nothing from here.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.filters import soil_field, unknowns
+from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilField, SoilWindow
+from tilth.estimator.filters.unknowns import SIX, Vector
+from tilth.estimator.methods import pem, rows
+from tilth.estimator.pose.geometry import to_degrees, to_plane
+from tilth.estimator.record.record import Record
+from tilth.estimator.results.method_state import SixState
+from tilth.estimator.results.recommend import PATCHY
+from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
+from tilth.estimator.rig.geometry import wrap
+from tilth.estimator.state_json import NOT_STORED, Shape
+from tilth.estimator.tuning import tuned
+from tilth.schemas.flow import Estimate, Pose, SoilPlace
+from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice
+from tilth.schemas.reasons import Code
+
+Array = NDArray[np.float64]
+
+METHOD: Final = "place"
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceTuning:
+    """How much is kept."""
+
+    most_windows: int = tuned(40, "stretches", "that are kept; beyond, the two that are nearest become one")
+    track_ns: int = tuned(2_000_000_000, "ns", "between two places of the way that is kept")
+    track: int = tuned(
+        600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
+    )
+    turned: float = tuned(math.radians(120.0), "rad", "from the heading of a pass: the next one begins")
+
+
+PLACE: Final = PlaceTuning()
+
+
+@dataclass(frozen=True, slots=True)
+class TrackPoint:
+    """Where the axles were."""
+
+    t_ns: int
+    axles: Annotated[Array, Shape((3, 2))]  # north and east, m
+
+
+@dataclass(slots=True)
+class PlaceState:
+    """Arrays in the order of unknowns.NAMES; times ns. Positions, m, in the plane of the poses."""
+
+    prior_mean: Vector
+    prior_sd: Vector
+    windows: list[SoilWindow] = field(default_factory=list)
+    track: deque[TrackPoint] = field(default_factory=lambda: deque(maxlen=PLACE.track))
+    axles: Annotated[Array, Shape((3, 2))] | None = None  # where they are now
+    origin_deg: tuple[float, float] | None = None  # latitude and longitude, of the plane
+    passing: int = 0  # number of the pass
+    heading: float = 0.0  # rad, of the pass
+    informed_ns: int = 0
+    published_ns: int = 0
+    window_s: float = 0.0
+    has_number: list[bool] = field(default_factory=lambda: [False] * 6)
+    events: list[tuple[str, Notice]] = field(default_factory=list)
+    soil: SoilField | None = field(default=None, metadata=NOT_STORED)  # by the windows; None: not derived yet
+
+
+def initial(machine: Machine) -> PlaceState:
+    """The state before any data, at the priors of the machine file."""
+    return PlaceState(*unknowns.prior(machine))
+
+
+def take(state: PlaceState, machine: Machine, pose: Pose, segment: Any) -> Estimate | None:
+    """Take the way of one pose; an estimate each REPORTING.publish_ns."""
+    axles = _axles(machine, pose)
+    if axles is not None:
+        _move_origin(state, (pose.origin_latitude_deg, pose.origin_longitude_deg))
+        state.axles = axles
+        if not state.track or pose.t_ns - state.track[-1].t_ns >= PLACE.track_ns:
+            state.track.append(TrackPoint(pose.t_ns, axles))
+        if abs(wrap((pose.tractor.heading or 0.0) - state.heading)) > PLACE.turned:
+            state.passing, state.heading = state.passing + 1, pose.tractor.heading or 0.0
+    if pose.t_ns - state.published_ns < REPORTING.publish_ns:
+        return None
+    state.published_ns = pose.t_ns
+    return estimate(state, machine, pose.t_ns)
+
+
+def _axles(machine: Machine, pose: Pose) -> Array | None:
+    """North and east of the middles of front, rear and implement's axle, (3, 2), m; None where unknown."""
+    ahead = (machine.tractor.a.value, -machine.tractor.b.value, -machine.implement.e.value)
+    places = []
+    for body, metres in zip((pose.tractor, pose.tractor, pose.implement), ahead, strict=True):
+        if body.x is None or body.y is None or body.heading is None:
+            return None
+        places.append((body.x + metres * math.cos(body.heading), body.y + metres * math.sin(body.heading)))
+    return np.array(places)
+
+
+def axles_ahead(state: PlaceState, machine: Machine, x: float, y: float) -> Array:
+    """Where the axles are, (3, 2), as the rear one is at a place and all in line as the tractor heads now."""
+    a, b, c = machine.tractor.a.value, machine.tractor.b.value, machine.tractor.c.value
+    behind = np.array([a + b, 0.0, b - c - machine.implement.d.value - machine.implement.e.value])
+    ahead = np.array([math.cos(state.heading), math.sin(state.heading)])
+    return np.asarray(np.array([x, y]) + behind[:, None] * ahead, np.float64)
+
+
+def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
+    """What is kept, in the plane of another origin."""
+    before, state.origin_deg = state.origin_deg, origin_deg
+    if before is None or before == origin_deg:
+        return
+
+    def moved(places: Array) -> Array:
+        flat = [to_plane(origin_deg, *to_degrees(before, x, y)) for x, y in places.reshape(-1, 2).tolist()]
+        return np.array(flat).reshape(places.shape)
+
+    state.windows = [replace(window, path=moved(window.path)) for window in state.windows]
+    state.track = deque((replace(one, axles=moved(one.axles)) for one in state.track), PLACE.track)
+    state.soil = None
+
+
+def learn(state: PlaceState, job: Any, made: Any) -> None:
+    """Take what another method's fit has told."""
+    if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
+        return
+    method, records = (rows.METHOD, job.rows) if isinstance(made, rows.Fit) else (pem.METHOD, [job.record])
+    path = _path(state.track, records)
+    if path is None:
+        return
+    begin_ns = records[0].t_ns
+    kept = [w for w in state.windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
+    state.windows = [*kept, SoilWindow(method, begin_ns, state.passing, path, made.told)]
+    if len(state.windows) > PLACE.most_windows:
+        _merge_nearest(state)
+    state.soil = None
+    state.informed_ns = job.closed_ns
+    state.window_s += sum(len(record.ticks) for record in records) * 0.02
+
+
+def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:
+    """Places of the axles in these records, (SOIL_FIELD.points, 3, 2); None where they are not known."""
+    within = [p.axles for p in track if any(r.t_ns <= p.t_ns <= r.end_ns for r in records)]
+    return _evenly(np.array(within)) if within else None
+
+
+def _evenly(path: Array) -> Array:
+    return path[np.linspace(0, len(path) - 1, SOIL_FIELD.points).round().astype(np.int64)]
+
+
+def _merge_nearest(state: PlaceState) -> None:
+    """Of two windows of a method that were nearest to each other, one."""
+    pairs = [(a, b) for a, b in combinations(state.windows[:-1], 2) if a.method == b.method]
+    one, other = min(pairs, key=lambda pair: _apart(*pair))
+    both = soil_field.merged(one, other)
+    state.windows = [both if w is other else w for w in state.windows if w is not one]
+
+
+def _apart(one: SoilWindow, other: SoilWindow) -> float:
+    """How far their ways are from each other, m: each place to the nearest of the other."""
+    between = np.linalg.norm(one.path[:, None, 1] - other.path[None, :, 1], axis=-1)
+    return float(max(between.min(axis=0).mean(), between.min(axis=1).mean()))
+
+
+def estimate(state: PlaceState, machine: Machine, t_ns: int) -> Estimate:
+    """The estimate at t_ns, of where the rig is."""
+    return estimate_at(state, machine, t_ns, state.axles, state.has_number)
+
+
+def estimate_at(
+    state: PlaceState, machine: Machine, t_ns: int, axles: Array | None, had: list[bool]
+) -> Estimate:
+    """The estimate of any place. axles: north and east of each axle, (3, 2), m; None: not known where. had:
+    which of the six had a number before; changed in place."""
+    mean, covariance = state.prior_mean.copy(), np.zeros((len(state.prior_mean),) * 2)
+    covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
+    of_place, patchy = None, 0.0
+    if axles is not None and state.windows and state.origin_deg is not None:
+        soil = state.soil = state.soil or SoilField(state.windows, state.prior_sd)
+        there, patchy = soil.at(axles), soil.patchy
+        mean[SIX] += there.mean
+        covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
+        shares = soil.shares(axles, [window.passing == state.passing for window in state.windows])
+        of_place = SoilPlace(*to_degrees(state.origin_deg, *axles[1].tolist()), there.length_m, *shares)
+    learned = SixState(
+        mean, covariance, state.prior_mean, state.prior_sd,
+        informed_ns=state.informed_ns if of_place else 0, window_s=state.window_s, has_number=had,
+    )  # fmt: skip
+    excitation = {"windows": float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
+    made = six_parameter_estimate(
+        learned, machine, t_ns, METHOD, covariance[SIX, SIX], Code.NOTHING_FITTED, excitation, None, None
+    )
+    return replace(made, of_place=of_place)
+
+
+def clock_stepped(state: PlaceState, by_ns: int) -> None:
+    """The log's clock stepped back: what windows have told stays, and where."""
+    state.track.clear()
+    state.axles, state.published_ns = None, 0
+    state.informed_ns += by_ns if state.informed_ns else 0

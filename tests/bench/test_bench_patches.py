@@ -1,0 +1,40 @@
+"""Fields in patches: what is drawn, and what the table makes of numbers that hold and of others."""
+
+import json
+from typing import Any
+
+import numpy as np
+import patches
+import pytest
+
+
+def test_fields_differ_as_they_are_meant_to() -> None:
+    drawn = [patches.scenario_for(k, 8.0) for k in range(40)]
+    assert drawn[3] == patches.scenario_for(3, 8.0)
+    for name, low, high in (("patch_length", 20, 60), ("patch_log_sd", 0.1, 0.3), ("patch_common", 0.3, 1.0)):
+        values = [getattr(one.soil, name) for one in drawn]
+        assert low <= min(values) < max(values) <= high and np.std(values) > 0.15 * (high - low)
+    assert {one.steering.turns[0].spacing for one in drawn} == {6.1, 12.2}  # type: ignore[union-attr]
+
+
+def _made(z: float) -> list[dict[str, Any]]:
+    """A field with errors of z sds everywhere, times a normal number, in two passes and between them."""
+    rng, n = np.random.default_rng(1), 900
+    told = {
+        "error": (0.2 * z * rng.standard_normal((n, 6))).tolist(), "sd": [[0.2] * 6] * n,
+        "turn": [k % 300 > 250 for k in range(n)], "pass": [k // 300 for k in range(n)],
+        "stretch": [float(k % 300 // 50) for k in range(n)],
+    }  # fmt: skip
+    made = [{"row": "patches", "seed": 0, "first": 0, "scale": 8.0, "methods": {"place": told, "pem": told}}]
+    return json.loads(json.dumps(made))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(("z", "held"), [(0.8, True), (1.6, False)])
+def test_the_table_tells_right_numbers_from_wrong_ones(z: float, held: bool) -> None:
+    made = _made(z)
+    made[0]["methods"]["recommended"] = {key: [] for key in made[0]["methods"]["pem"]}
+    lines = {line.figure: line for line in patches.lines_of(made)}
+    of_rows = next(line for figure, line in lines.items() if figure.startswith("place, rows: 95 %"))
+    assert of_rows.held is held and len(of_rows.values) == 6
+    assert any(figure.startswith("place, turns: 95 %") for figure in lines)
+    assert lines["recommended, rows"].reached == "no number was given"

@@ -1,0 +1,147 @@
+"""The memory by place: what it takes from fits of others, where, and what of it is stored."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from circle import demo_machine
+
+from tilth.client.received import estimate_of
+from tilth.estimator.filters import soil_field
+from tilth.estimator.filters.soil_field import Told
+from tilth.estimator.methods import pem, place
+from tilth.estimator.methods.place import PLACE, PlaceState
+from tilth.estimator.record.record import Record
+from tilth.estimator.state_json import from_json_data, to_json_data
+from tilth.schemas.channels import CHANNEL
+from tilth.schemas.flow import BodyPose, Estimate, Pose, Status
+from tilth.schemas.reasons import Code
+
+MACHINE = demo_machine()
+S = 1_000_000_000
+ORIGIN = (43.5, -83.4)
+
+
+def pose_at(t_ns: int, north: float, east: float = 0.0, heading: float = 0.0) -> Pose:
+    sds = (0.02, heading, 0.005, 4.0, 0.0, 0.03, 0.04, 0.0, 0.003, 0.0, 0.004)
+    behind = 5.8 * math.cos(heading)
+    tractor, implement = BodyPose(north, east, *sds), BodyPose(north - behind, east, *sds)
+    return Pose(t_ns, *ORIGIN, tractor, implement, 0.0, 0.007, 0.0, 0.002, 1, None, 0.0, 4, ())
+
+
+def drive(
+    state: PlaceState, t_ns: int, north: float, east: float = 0.0, metres: float = 60.0, heading: float = 0.0
+) -> Estimate:
+    """On from there at 4 m/s; the last estimate."""
+    last, ahead = None, math.cos(heading)
+    for k in range(round(metres / 0.8)):
+        pose = pose_at(t_ns + k * S // 5, north + 0.8 * k * ahead, east, heading)
+        last = place.take(state, MACHINE, pose, None) or last
+    assert last is not None
+    return last
+
+
+def fitted(state: PlaceState, t_ns: int, seconds: float, log: float, sd: float = 0.05) -> None:
+    """A window of pem that says so of the six."""
+    information = np.eye(6) / sd**2
+    record = Record(t_ns, np.zeros((round(seconds * 50), 8)))
+    mean, prior_sd = state.prior_mean, state.prior_sd
+    job = pem.Job(record.end_ns, record.end_ns, record, mean, np.diag(prior_sd**2))
+    told = Told(information, information @ np.full(6, log), np.zeros(6))
+    place.learn(state, job, pem.Fit(mean, job.covariance, told, 0.0, 0.0, 0.0, 1, 9, False, None))
+
+
+def sds(estimate: Estimate) -> np.ndarray:  # type: ignore[type-arg]
+    return np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
+
+
+def test_a_number_is_of_the_place_where_the_rig_is() -> None:
+    state = place.initial(MACHINE)
+    nothing = drive(state, 10 * S, 0.0)
+    assert {p.reason.code for p in nothing.parameters if p.reason} == {Code.NOTHING_FITTED}
+    assert nothing.of_place is None
+    fitted(state, 10 * S, 14.0, -0.3)
+    here = place.estimate(state, MACHINE, 30 * S)
+    assert all(p.status is Status.ESTIMATED for p in here.parameters) and here.of_place is not None
+    assert np.log([p.value for p in here.parameters]) - state.prior_mean[:6] == pytest.approx(
+        np.full(6, -0.3), abs=0.1
+    )
+    away = drive(state, 40 * S, 200.0)  # with nothing learned on the way
+    assert np.all(sds(away)[:3] > 1.3 * sds(here)[:3]) and np.allclose(sds(away)[3:], sds(here)[3:], rtol=0.1)
+    assert away.of_place is not None and here.of_place.prior < away.of_place.prior
+
+
+def test_the_second_pass_knows_the_wet_end_before_it_gets_there() -> None:
+    state = place.initial(MACHINE)
+    for k, (north, log) in enumerate([(0.0, 0.0), (200.0, -0.4)]):
+        drive(state, (10 + 100 * k) * S, north)
+        fitted(state, (10 + 100 * k) * S, 14.0, log)
+    back = drive(state, 300 * S, 190.0, 6.0, 160.0, math.pi)  # on the next pass, from the wet end
+    assert back.of_place is not None and back.of_place.neighbours > back.of_place.this_pass
+    axles = place.axles_ahead(state, MACHINE, 225.0, 6.0)
+    there = place.estimate_at(state, MACHINE, 400 * S, axles, [False] * 6)
+    dry = place.estimate_at(
+        state, MACHINE, 400 * S, place.axles_ahead(state, MACHINE, 25.0, 6.0), [False] * 6
+    )
+    values = [np.log([p.value or math.nan for p in one.parameters[:3]]) for one in (dry, there)]
+    assert values[1] - values[0] == pytest.approx(np.full(3, -0.4), abs=0.15)
+    assert np.all(sds(there)[:3] < 0.25)
+
+
+def test_a_block_that_is_fitted_again_counts_once() -> None:
+    state = place.initial(MACHINE)
+    drive(state, 10 * S, 0.0)
+    fitted(state, 10 * S, 10.0, 0.1)
+    once = place.estimate(state, MACHINE, 30 * S)
+    fitted(state, 10 * S, 10.0, 0.1)
+    assert len(state.windows) == 1
+    assert sds(place.estimate(state, MACHINE, 30 * S)) == pytest.approx(sds(once))
+
+
+def test_it_is_bounded_and_the_nearest_become_one() -> None:
+    state = place.initial(MACHINE)
+    for k in range(PLACE.most_windows + 5):
+        t_ns = (10 + 100 * k) * S
+        drive(state, t_ns, 200.0 * (k % 2), 6.0 * (k // 2), 20.0)
+        fitted(state, t_ns, 5.0, 0.1)
+    assert len(state.windows) == PLACE.most_windows and len(state.track) <= PLACE.track
+    total = sum(window.told.information[0, 0] for window in state.windows)
+    assert total == pytest.approx((PLACE.most_windows + 5) / 0.05**2)
+
+
+def test_another_origin_of_the_plane_moves_no_place() -> None:
+    state = place.initial(MACHINE)
+    drive(state, 10 * S, 0.0)
+    fitted(state, 10 * S, 14.0, -0.3)
+    before = place.estimate(state, MACHINE, 30 * S)
+    moved = replace(pose_at(31 * S, -52.0 - 100.0), origin_latitude_deg=ORIGIN[0] + 0.001)
+    shift = place.to_plane((ORIGIN[0] + 0.001, ORIGIN[1]), *place.to_degrees(ORIGIN, 59.2, 0.0))
+    bodies = [replace(body, x=shift[0] - behind, y=shift[1]) for body, behind in
+              ((moved.tractor, 0.0), (moved.implement, 5.8))]  # fmt: skip
+    place.take(state, MACHINE, replace(moved, tractor=bodies[0], implement=bodies[1]), None)
+    after = place.estimate(state, MACHINE, 31 * S)
+    assert sds(after) == pytest.approx(sds(before), rel=1e-3)
+
+
+def test_stored_and_restored_it_goes_on_to_the_byte() -> None:
+    state = place.initial(MACHINE)
+    drive(state, 10 * S, 0.0)
+    fitted(state, 10 * S, 14.0, -0.3)
+    drive(state, 60 * S, 100.0)  # what is derived has been derived
+    again = from_json_data(PlaceState, json.loads(json.dumps(to_json_data(state))))
+    for one in (state, again):
+        fitted(one, 60 * S, 14.0, 0.1)
+    channel = CHANNEL["/soil_tire/place"]
+    told = [channel.encode(drive(one, 200 * S, 0.0, 6.0)) for one in (state, again)]
+    assert told[0] == told[1]
+    heard = estimate_of(told[0], channel.encoding)
+    assert heard.of_place is not None
+    assert heard.of_place.this_pass + heard.of_place.neighbours + heard.of_place.prior == pytest.approx(1.0)
+
+
+def test_a_way_that_is_not_known_tells_of_no_place() -> None:
+    state = place.initial(MACHINE)
+    fitted(state, 10 * S, 14.0, -0.3)
+    assert state.windows == [] and soil_field.SOIL_FIELD.points > 1
