@@ -119,7 +119,7 @@ def _keys(section: Tractor | Implement, new: Body, forward: float) -> dict[str, 
     lengths = {key: getattr(section, key) for key in by}
     moved = {key: Quantity(value=told.value + by[key], sd=told.sd) for key, told in lengths.items()}
     others = {"mass": new.mass, "yaw_inertia": new.yaw_inertia, "cg_height": new.height, "cg_sd": new.cg_sd}
-    return moved | others
+    return {**moved, **others}
 
 
 def _rounded(machine: Machine, told: Machine) -> Machine:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.soil_field import KeptSoil
 from tilth.estimator.filters.unknowns import SIX
-from tilth.estimator.methods.pem import PemState, drifted
+from tilth.estimator.methods.pem import PemState, drifted, with_known_masses
 from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.methods.rows import RowsState, learned_covariance
 from tilth.estimator.methods.steady_state import SteadyState
@@ -70,7 +70,7 @@ def of_tracker(state: TrackerState) -> Learned:
 
 def into_tracker(state: TrackerState, learned: Learned) -> None:
     """Put what was learned into a fresh state."""
-    state.mean, state.covariance = learned.mean, learned.covariance
+    state.mean, state.covariance = learned.mean, with_known_masses(learned.covariance)
     state.window_s = _counted(learned, "window_s")
     state.tight_s = _counted(learned, "tight_s")  # what was learned in them stays as uncertain
     state.hard = _counted(learned, "hard")

@@ -415,7 +415,13 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         for had, sd, own in zip(state.supported, over_sds, state.prior_sd[:3].tolist(), strict=True)
     ]
     parameters = tuple(
-        _parameter(state, k, rank, age, of_the_mass(k, _mass_sd(state, k), over_sds[k]) if over[k] else None)
+        _parameter(
+            state,
+            k,
+            rank,
+            age,
+            of_the_mass(k, math.sqrt(state.P[AT[OVER[k]], AT[OVER[k]]]), over_sds[k]) if over[k] else None,
+        )
         for k in range(3)
     )
     masses = per_mass(machine, state.logs.tolist(), over_sds, over)
@@ -455,14 +461,9 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
 
 def _over_masses(state: SteadyState) -> list[float]:
     """Sds of the logarithms over the masses. The first states are compliances: they err the other way."""
-    covariance = state.P.copy()
-    covariance[:3] *= -np.exp(state.logs - state.prior_logs)[:, None]
-    return log_sds_over_masses(np.diag(state.log_covariance).tolist(), covariance, AT)
-
-
-def _mass_sd(state: SteadyState, k: int) -> float:
-    m = AT.get(OVER[k])
-    return 0.0 if m is None else math.sqrt(state.P[m, m])
+    masses = [AT[name] for name in OVER]
+    together = -state.P[range(3), masses] * np.exp(state.logs - state.prior_logs)
+    return log_sds_over_masses(state.log_covariance, (2.0 * together - np.diag(state.P)[masses]).tolist())
 
 
 def _parameter(

@@ -39,6 +39,7 @@ from tilth.estimator.filters.unknowns import (
     NOISE,
     SIX,
 )
+from tilth.estimator.methods.pem import of_masses, with_known_masses
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
@@ -152,9 +153,14 @@ KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` ca
 
 
 def initial(machine: Machine) -> TrackerState:
-    """The state before any data, at the priors of the machine file."""
+    """The state before any data, at the priors of the machine file.
+
+    Masses are those of the file: stiffnesses are learned over them, and `reported_covariance` adds what is
+    not known of them. When they were considered only, a file that tells the implement's mass to 50 % made
+    C_ai 9 sds too small: small forces between the bodies seemed to tell the one from the other.
+    """
     mean, sd = unknowns.prior(machine)
-    covariance = np.diag(sd**2)
+    covariance = with_known_masses(np.diag(sd**2))
     covariance[NOISE, NOISE] = 0.0
     return TrackerState(mean.copy(), covariance, mean, sd)
 
@@ -404,7 +410,7 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
 
 def reported_covariance(state: TrackerState) -> Array:
     """Reported covariance of the six logarithms, (6, 6): the information of the data over `sd_factor`
-    squared, and errors of the model."""
+    squared, errors of the model, and what is not known of the masses."""
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / TRACKER.sd_factor**2
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
@@ -417,7 +423,8 @@ def reported_covariance(state: TrackerState) -> Array:
         state.mean[SIX],
         fit_covariance.FIT_COVARIANCE.tracked_tight_sd,
     )
-    return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2), np.float64)
+    masses = of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
+    return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2) + masses, np.float64)
 
 
 def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:

@@ -1,7 +1,7 @@
 """From a method's posterior to its published estimate: which parameters have a number, its age and status."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -96,15 +96,11 @@ def per_mass(
     return PerMass(values, sds)
 
 
-def log_sds_over_masses(variances: Sequence[float], covariance: Array, at: Mapping[str, int]) -> list[float]:
-    """Sds of the logarithms of the three stiffnesses over the masses. variances: (3,), of the published
-    logarithms; covariance: (n, n), of which those with the masses are used; at: places of names in it."""
-    out = []
-    for k, (variance, mass) in enumerate(zip(variances, OVER, strict=True)):
-        m = at.get(mass)
-        with_mass = 0.0 if m is None else float(covariance[m, m] - 2.0 * covariance[k, m])
-        out.append(math.sqrt(max(variance + with_mass, 0.0)))
-    return out
+def log_sds_over_masses(covariance: Array, of_masses: Sequence[float]) -> list[float]:
+    """Sds of the logarithms of the three stiffnesses over the masses. covariance: of the published
+    logarithms; of_masses: (3,), what of each variance is not known of the mass."""
+    variances = np.diag(covariance)[:3].tolist()
+    return [math.sqrt(max(own - mass, 0.0)) for own, mass in zip(variances, of_masses, strict=True)]
 
 
 def of_the_mass(k: int, mass_sd: float, over_sd: float) -> Reason:
@@ -138,15 +134,16 @@ def six_parameter_estimate(
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
 
-    covariance: (6, 6), the reported one. nothing: why there is no number while nothing has been learned.
-    stale: why the numbers are stale.
+    covariance: (6, 6), the reported one, with the whole variance of the masses. nothing: why there is no
+    number while nothing has been learned. stale: why the numbers are stale.
     """
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
     information = advice.information_of(covariance, prior_sd)
     eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
     parameters = []
-    over_sds = log_sds_over_masses(np.diag(covariance)[:3].tolist(), state.covariance, AT)
+    of_masses = [float(state.prior_sd[AT[name]] ** 2) for name in OVER]
+    over_sds = log_sds_over_masses(covariance, of_masses)
     over = [
         age is not None and is_supported(had, sd, own)
         for had, sd, own in zip(state.has_number, over_sds, prior_sd[:3].tolist(), strict=False)
