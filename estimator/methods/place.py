@@ -42,7 +42,7 @@ METHOD: Final = "place"
 class PlaceTuning:
     """How much is kept."""
 
-    most_windows: int = tuned(40, "stretches", "that are kept; beyond, the two that are nearest become one")
+    most_windows: int = tuned(32, "stretches", "that are kept; beyond, the two that are nearest become one")
     track_ns: int = tuned(2_000_000_000, "ns", "between two places of the way that is kept")
     track: int = tuned(
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
