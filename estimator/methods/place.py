@@ -131,8 +131,11 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
         flat = [to_plane(origin_deg, *to_degrees(before, x, y)) for x, y in places.reshape(-1, 2).tolist()]
         return np.array(flat).reshape(places.shape)
 
-    state.windows = [replace(window, path=moved(window.path)) for window in state.windows]
-    state.track = deque((replace(one, axles=moved(one.axles)) for one in state.track), PLACE.track)
+    windows = [replace(window, path=moved(window.path)) for window in state.windows]
+    state.windows = [
+        w for w in windows if np.all(np.isfinite(w.path))
+    ]  # a plane does not reach round the Earth
+    state.track.clear()
     state.soil = None
 
 

@@ -125,6 +125,15 @@ def test_another_origin_of_the_plane_moves_no_place() -> None:
     assert sds(after) == pytest.approx(sds(before), rel=1e-3)
 
 
+def test_what_was_learned_on_the_other_side_of_the_earth_is_of_no_use_here() -> None:
+    state = place.initial(MACHINE)
+    drive(state, 10 * S, 0.0)
+    fitted(state, 10 * S, 14.0, -0.3)
+    there = replace(pose_at(60 * S, 0.0), origin_latitude_deg=-43.5, origin_longitude_deg=96.6)
+    told = place.take(state, MACHINE, there, None)
+    assert told is not None and np.all(np.isfinite(told.log_covariance))
+
+
 def test_stored_and_restored_it_goes_on_to_the_byte() -> None:
     state = place.initial(MACHINE)
     drive(state, 10 * S, 0.0)
