@@ -20,7 +20,7 @@ BEHIND = np.array([[1.7, 0.0], [-1.2, 0.0], [-5.8, 0.0]])  # axles of a rig that
 
 
 def rig_at(north: float, east: float) -> Array:
-    return BEHIND + np.array([north, east])
+    return np.asarray(BEHIND + np.array([north, east]))
 
 
 def window(
