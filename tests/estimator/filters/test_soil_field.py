@@ -151,7 +151,7 @@ def test_what_a_window_adds_does_not_depend_on_what_was_known_of_the_six(seed: i
         covariance = np.zeros((n, n))
         covariance[:6, :6], covariance[6:, 6:] = sd**2 * np.eye(6), others
         known = np.linalg.inv(covariance)
-        after = np.linalg.solve(information + known, information @ best + known @ before)
+        after = np.asarray(np.linalg.solve(information + known, information @ best + known @ before), float)
         found.append(told(before, covariance, after, information, prior, np.ones(6), np.zeros(6)))
     assert found[0].information == pytest.approx(found[1].information, abs=1e-6)
     assert found[0].vector == pytest.approx(found[1].vector, abs=1e-6)
