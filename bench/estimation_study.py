@@ -315,13 +315,15 @@ class Followed:
     wheel: Array  # (n,) rad, true wheel angle at samples STEP_S apart
     refused: dict[str, int]  # reason -> stretches
     reasons: dict[str, list[str]]  # method -> why there is no number at the end, (6,)
+    over_mass: dict[str, tuple[float, float]]  # method -> error of log C_ai/m_i as given last, and its sd
 
 
 def followed(run: Driven) -> Followed:
     """A run through the fold; each fit is there when it is due."""
     state = fold.initial(run.machine)
     series: dict[str, list[list[float]]] = {}
-    events, last = [], dict[str, Estimate]()
+    events, last, over_mass = [], dict[str, Estimate](), dict[str, tuple[float, float]]()
+    true_log = float(run.logs[2]) - math.log(run.truth.rig.m_i)
     for frame in traffic(run.truth_machine, run.truth):
         publications = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
         fold.request_fits(state, frame.t_ns)
@@ -330,6 +332,9 @@ def followed(run: Driven) -> Followed:
             if isinstance(value, Estimate):
                 series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
                 last[value.method] = value
+                ratio, sd = (*value.per_mass, *[None] * 3)[2], (*value.per_mass_sd, *[None] * 3)[2]
+                if ratio is not None and sd is not None:
+                    over_mass[value.method] = math.log(ratio) - true_log, sd / ratio
             elif isinstance(value, Event):
                 events.append((run.seconds_of(value.t_ns), value.kind, event_sentence(value)))
     tables = {method: np.array(rows) for method, rows in series.items()}
@@ -340,6 +345,7 @@ def followed(run: Driven) -> Followed:
         run.truth.wheel_angle,
         {code.value: n for code, n in state.record.refused.items()},
         {name: [sentence(p.reason) for p in one.parameters] for name, one in last.items()},
+        over_mass,
     )
 
 

@@ -1,9 +1,11 @@
 """How good are the estimates on rigs of any size? A fractional design of drives on the virtual fleet.
 
-    python bench/fleet.py [--count 24] [--first 0] [--processes 1] [--keep FILE.jsonl] [--summary]
+    python bench/fleet.py [--count 24] [--first 0] [--processes 1] [--keep FILE.jsonl] [--mass-sd SHARE]
+                          [--summary]
 
 Drive k is of rig k of simulator/fleet.py, and of cell k of bench/fleet_design.py: each 60 drives in a row are
-all cells once, and fewer are nearly balanced. The file of each rig is its owner's. What is done is kept in
+all cells once, and fewer are nearly balanced. The file of each rig is its owner's; with
+--mass-sd it is of one who has not weighed the implement: then give another FILE. What is done is kept in
 FILE, a line each, and not done again; --first gives fresh rigs. `python bench/estimation.py fleet` prints the
 same table.
 
@@ -60,15 +62,16 @@ FAR: Final = (4.0, 6.0)  # sds
 # One drive.
 
 
-def follow(first: int, scale: float, k: int) -> Result:
-    """Drive number first + k: what was published of it. scale: of its seconds, for a try."""
+def follow(first: int, scale: float, mass_sd: float | None, k: int) -> Result:
+    """Drive number first + k: what was published of it. scale: of its seconds, for a try. mass_sd: as of
+    owners_text."""
     number = first + k
     rig, cell = drawn(number), cell_of(number)
     result: Result = {
         "row": NAME, "seed": k, "first": first, "scale": scale, "rig": number,
         "tractor": rig.tractor.kind, "implement": rig.implement.kind, "fill": rig.implement.fill,
         "duals": rig.tyres[1].twin_spacing > 0.0, "manoeuvre": cell.manoeuvre.name, "rms": cell.rms,
-        "slope": cell.slope_deg, "plant": cell.plant, "methods": {},
+        "slope": cell.slope_deg, "plant": cell.plant, "mass_sd": mass_sd, "methods": {},
     }  # fmt: skip
     asked, machine = scenario(rig, cell), true_machine(rig, cell.manoeuvre.receivers)
     began = time.perf_counter()
@@ -76,7 +79,8 @@ def follow(first: int, scale: float, k: int) -> Result:
         truth = drive(machine, rig.seed, scale * asked.seconds, asked)
     except CannotBeDriven as error:
         return result | {"undriven": str(error)}
-    run = Driven(parse_machine(owners_text(rig, cell.manoeuvre.receivers)), truth, machine)
+    text = owners_text(rig, cell.manoeuvre.receivers, mass_sd=mass_sd)
+    run = Driven(parse_machine(text), truth, machine)
     drove_s = time.perf_counter() - began
     heard = followed(run)
     steered_s = first_informed(heard.wheel, 0.0)
@@ -88,6 +92,7 @@ def follow(first: int, scale: float, k: int) -> Result:
             "last": _last(rows, heard.logs),
             "given": [_given(rows, end) for end in (*ends, math.inf)],  # and at the end of the drive
             "reasons": heard.reasons[name],
+            "over_mass": heard.over_mass.get(name, (math.nan, math.nan)),
         }
         for name, rows in heard.series.items()
     }
@@ -114,12 +119,14 @@ def _given(rows: Array, end: float) -> bool:
 # All of them.
 
 
-def row(first: int, bench: Bench) -> list[Line]:
+def row(first: int, bench: Bench, mass_sd: float | None = None) -> list[Line]:
     """The lines of the table; drives that a file has are not made again."""
     have = {
         seed: made for seed, made in spatial_rows.kept(bench, NAME).items() if made["first"] == first
     }  # fmt: skip
-    made = bench.each(partial(follow, first, bench.scale), COUNT, have, partial(spatial_rows.keep, bench))
+    made = bench.each(
+        partial(follow, first, bench.scale, mass_sd), COUNT, have, partial(spatial_rows.keep, bench)
+    )
     return lines_of(made)
 
 
@@ -128,6 +135,7 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
     for method in METHODS:
         error, sd = _numbers(made, method)
         lines += _figures(method, error, sd)
+    lines += [line for method in METHODS for line in _over_mass(made, method)]
     lines += _right_files(made)
     for of in ("manoeuvre", "plant", "rms", "slope", "tractor", "implement", "duals"):
         lines += _groups(made, of)
@@ -167,6 +175,24 @@ def _figures(method: str, error: Array, sd: Array) -> Iterator[Line]:
             ),
             (hits / n, float(np.mean(z)), spread, middle, *far),
         )
+
+
+def _over_mass(made: Sequence[Result], method: str) -> Iterator[Line]:
+    """C_ai over the implement's mass, as given last."""
+    said = [one["methods"][method]["over_mass"] for one in made if method in one["methods"]]
+    error, sd = np.array(said or [[math.nan] * 2], np.float64).T
+    error, sd = error[np.isfinite(error)], sd[np.isfinite(error)]
+    if (n := len(error)) == 0:
+        yield Line(f"{method} C_ai/m_i", "no number")
+        return
+    z = error / sd
+    hits, middle = int(np.sum(np.abs(z) < Z)), float(np.median(np.abs(error)))
+    yield Line(
+        f"{method} C_ai/m_i",
+        f"{hits}/{n} hold, {100 * hits / n:.0f} %; z {np.mean(z):+.2f}, furthest {np.abs(z).max():.1f}; "
+        f"|ln| {percents([middle])}; sd {percents([float(np.median(sd))])}",
+        "holds", hits / n >= FIGURES[0][0], (hits / n, float(np.mean(z)), middle),
+    )  # fmt: skip
 
 
 def _right_files(made: Sequence[Result]) -> Iterator[Line]:
@@ -244,6 +270,9 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first rig and cell")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--keep", type=Path, default=Path("fleet.jsonl"), help="file of what is done")
+    parser.add_argument(
+        "--mass-sd", type=float, help="of the logarithm of the implement's mass in each file: 0.1 or 0.5"
+    )
     parser.add_argument("--summary", action="store_true", help="only read what is there")
     args = parser.parse_args()
     if args.count < 1 or args.first < 0 or args.processes < 1:
@@ -261,7 +290,7 @@ def main() -> None:
             ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
             Progress(*columns, console=console, transient=True) as progress,
         ):
-            lines = row(args.first, replace(bench, pool=pool, progress=progress))
+            lines = row(args.first, replace(bench, pool=pool, progress=progress), args.mass_sd)
     title = Row(NAME, REACH, partial(row, args.first))
     took = f"{time.perf_counter() - began:.0f} s"
     console.print(

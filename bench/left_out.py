@@ -1,17 +1,18 @@
 """What comes of each effect that an estimator does not know: `pem` on the spatial plant, a part left out.
 
     python bench/left_out.py [--logs DIR] [--runs 12] [--processes 2] [--size light …] [--out FILE]
-                             [--picture FILE.svg]
+                             [--only TEXT …] [--picture FILE.svg]
 
 Rigs of three sizes (`SIZES`); tyres, soil and sensors are drawn anew for each run, ground of 1 cm rms, random
 steering of 6° for a minute. The product's own estimator runs on them, with the unknowns of one effect held at
-the value that means "there is none", or with
-a log on which the plant has what no estimator knows. Lines of JSON in FILE are not done again.
+the value that means "there is none", or with another log of the same seed, on a plant that has what no
+estimator knows. What an effect moves is beside the row `beside` of the same run: the same plant, nothing left
+out. Lines of JSON in FILE are not done again.
 """
 
 import argparse
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -39,7 +40,7 @@ from tilth.schemas.flow import PARAMETERS, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.plausible import GRAVITY
-from tilth.simulator.scenario import Spatial, Wheel
+from tilth.simulator.scenario import Scenario, Spatial
 
 Array = NDArray[np.float64]
 Given = list[tuple[Pose, Segment | None]]
@@ -84,13 +85,47 @@ SIZES: Final = {
 
 
 @dataclass(frozen=True, slots=True)
+class Plant:
+    """Of another log of the same seed."""
+
+    folder: str
+    scenario: Callable[[Scenario], Scenario] = lambda scenario: scenario
+    further_forward: float = 0.0  # m, by which the implement's CG is ahead of where its file says
+
+
+def _wheel(folder: str, **keys: float) -> Plant:
+    return Plant(folder, lambda asked: replace(asked, wheel=replace(asked.wheel, **keys)))
+
+
+def _rolling(share: float) -> Plant:
+    return Plant(f"rolling_{share:g}", lambda asked: replace(asked, soil=replace(asked.soil, rolling=share)))
+
+
+def _no_ellipse(asked: Scenario) -> Scenario:
+    return replace(asked, spatial=replace(asked.spatial, combined=False))
+
+
+def _uphill(asked: Scenario) -> Scenario:
+    """The rig starts northwards, and random steering keeps it about so."""
+    return replace(asked, ground=replace(asked.ground, slope_deg=3.0, downhill_deg=180.0))
+
+
+def _uphill_without_ellipse(asked: Scenario) -> Scenario:
+    return _uphill(_no_ellipse(asked))
+
+
+PULL_3, PULL_10 = _rolling(0.03), _rolling(0.10)
+
+
+@dataclass(frozen=True, slots=True)
 class Effect:
     """What is left out: unknowns held at these values, and what becomes of the setup; or what the plant of
-    another log of the same seed has that no estimator knows."""
+    another log has that no estimator knows."""
 
     held: dict[str, float] = field(default_factory=dict)
     setup: Callable[[RigSetup], RigSetup] = lambda setup: setup
-    plant: Wheel | None = None
+    plant: Plant | None = None
+    beside: str = "nothing"
 
 
 def stiff(setup: RigSetup) -> RigSetup:
@@ -143,8 +178,19 @@ EFFECTS: Final = {
     "roll stiffnesses as usual": Effect({"roll_k_t": 0.0, "roll_k_i": 0.0}),
     "load exponent 0.5 for 0.8": Effect(setup=exponent(0.5)),
     "load exponent 1 for 0.8": Effect(setup=exponent(1.0)),
-    "plant: wheel sensor has 0.15° of play": Effect(plant=Wheel(dead_band_deg=0.15)),
-    "plant: its gain bends by 1 % at 30°": Effect(plant=Wheel(curve=0.02)),
+    "plant: wheel sensor has 0.15° of play": Effect(plant=_wheel("play", dead_band_deg=0.15)),
+    "plant: its gain bends by 1 % at 30°": Effect(plant=_wheel("bent", curve=0.02)),
+    "plant: traction takes no side force": Effect(plant=Plant("no_ellipse", _no_ellipse)),
+    "plant: 3° uphill": Effect(plant=Plant("uphill", _uphill)),
+    "plant: 3° uphill, without that": Effect(
+        plant=Plant("uphill_no_ellipse", _uphill_without_ellipse),
+        beside="plant: traction takes no side force",
+    ),
+    "plant: cart's load 0.15 m forward": Effect(plant=Plant("tongue", further_forward=0.15)),
+    "plant: rolling resistance 3 %": Effect(plant=PULL_3),
+    "pull, at 3 %": Effect({"rolling": 0.0}, plant=PULL_3, beside="plant: rolling resistance 3 %"),
+    "plant: rolling resistance 10 %": Effect(plant=PULL_10),
+    "pull, at 10 %": Effect({"rolling": 0.0}, plant=PULL_10, beside="plant: rolling resistance 10 %"),
     "masses as told": Effect(dict.fromkeys((NAMES[k] for k in MASSES), 0.0)),
 }
 
@@ -191,13 +237,13 @@ def fit_now(state: pem.PemState, machine: Machine, t_ns: int) -> None:
         pem.adopt(state, machine, pem.fit(machine, job), t_ns)
 
 
-def one(logs: Path, to: Path, job: tuple[str, int]) -> None:
-    """Write the errors of a run of a size, with each effect that is not there yet."""
+def one(logs: Path, to: Path, wanted: Collection[str], job: tuple[str, int]) -> None:
+    """Write the errors of a run of a size, with each wanted effect that is not there yet."""
     size, seed = job
-    drives: dict[Wheel | None, tuple[Machine, Given, Array]] = {}
+    drives: dict[Plant | None, tuple[Machine, Given, Array]] = {}
     there = known(to).get(job, {})
     for name, effect in EFFECTS.items():
-        if name in there:
+        if name in there or name not in wanted:
             continue
         if effect.plant not in drives:
             drives[effect.plant] = driven(logs, SIZES[size], effect.plant, seed)
@@ -219,15 +265,15 @@ def known(path: Path) -> Known:
     return out
 
 
-def driven(logs: Path, row: LogRow, wheel: Wheel | None, seed: int) -> tuple[Machine, Given, Array]:
+def driven(logs: Path, row: LogRow, plant: Plant | None, seed: int) -> tuple[Machine, Given, Array]:
     """(machine file, what estimators are given, logarithms of the true six) of a run."""
-    if wheel is not None:
-        changes = row.changes
-        name = f"{row.name}_{wheel.dead_band_deg:g}_{wheel.curve:g}"
+    if plant is not None:
         row = replace(
-            row, name=name,
-            changes=lambda seed, have: {**changes(seed, have), "wheel": replace(wheel, gain=have.gain)},
-        )  # fmt: skip
+            row,
+            name=f"{row.name}_{plant.folder}",
+            plant=plant.scenario,
+            further_forward=plant.further_forward,
+        )
     spatial_logs.make(logs, row, seed)
     run = spatial_logs.read_run(logs, row.name, seed)
     machine = parse_machine(run.machine_text)
@@ -246,10 +292,10 @@ class Outcome(NamedTuple):
 def outcomes(runs: list[Run]) -> dict[str, Outcome]:
     """Of the effects that all of the runs have."""
     out = {}
-    for name in EFFECTS:
-        if not all(name in run and "nothing" in run for run in runs):
+    for name, effect in EFFECTS.items():
+        if not all(name in run and effect.beside in run for run in runs):
             continue
-        whole = np.array([run["nothing"][0] for run in runs])
+        whole = np.array([run[effect.beside][0] for run in runs])
         errors, sds = (np.array([run[name][k] for run in runs]) for k in range(2))
         normal = errors / sds
         out[name] = Outcome(
@@ -286,13 +332,16 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=12, help="of each size")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--size", nargs="*", choices=tuple(SIZES), default=tuple(SIZES))
+    parser.add_argument("--only", nargs="*", default=[""], help="effects whose names have one of these")
     parser.add_argument("--out", type=Path, default=spatial_logs.CACHE / "left_out.jsonl")
     parser.add_argument("--picture", type=Path, help="an SVG of the table")
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
+    wanted = [name for name in EFFECTS if any(text in name for text in options.only)]
+    wanted += {EFFECTS[name].beside for name in wanted}.difference(wanted)
     jobs = [(size, seed) for seed in range(options.runs) for size in options.size]
     with ProcessPoolExecutor(options.processes, get_context("spawn")) as pool:
-        list(pool.map(partial(one, options.logs, options.out), jobs))
+        list(pool.map(partial(one, options.logs, options.out, wanted), jobs))
     rows = known(options.out)
     found = {size: outcomes([rows[size, k] for k in range(options.runs)]) for size in options.size}
     print(f"{options.runs} runs. Left out: median change of {', '.join(PARAMETERS)}, %; rms of error over sd")

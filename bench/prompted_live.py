@@ -31,7 +31,7 @@ from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Word
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.demo import on_loopback
 from tilth.simulator.prompted_driver import ARM, Bar, Person, PromptedDriver
@@ -222,7 +222,10 @@ def drive_plan(
 
         while not summaries or (len(summaries) == 1 and not over()):
             made = run_daemon(
-                cab.machine, cab.text, log_folder=log_folder, simulated="bench/prompted_live.py", stop=stop
+                MachineFile(cab.machine, cab.text),
+                log_folder=log_folder,
+                simulated="bench/prompted_live.py",
+                stop=stop,
             )
             summaries.append(made)
         cab.driver.stopping = True

@@ -40,7 +40,7 @@ from tilth.logger.status import bus_status
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
 from tilth.schemas.machine import Bus, Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.notices import Notice
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import event_sentence
@@ -57,7 +57,7 @@ class Recorder:
     def __init__(self, machine: Machine, text: str, folder: Path, opener: Opener = open_port) -> None:
         self.clock = Clock()
         self.events: list[tuple[str, Notice]] = []
-        self.recording = Recording(folder, machine, text, self.clock, self._report, lambda: "{}")
+        self.recording = Recording(folder, MachineFile(machine, text), self.clock, self._report, lambda: "{}")
         self.buses = Buses(machine.bus, self.clock, self._report, opener)
         self.status = pb.Status()  # of this second
         self._next_ns = self.clock.t_ns()
@@ -232,7 +232,7 @@ def soak(seconds: float) -> None:
     machine, text = rig()
     compiling.prepare(machine, lambda share: None)  # estimates from the first frame on
     with tempfile.TemporaryDirectory() as folder:
-        daemon = Daemon(machine, text, Path(folder), None, NoDisplay(), opener=load.opener)
+        daemon = Daemon(MachineFile(machine, text), Path(folder), None, NoDisplay(), opener=load.opener)
         for _ in range(20):
             daemon.turn(0.01)
         load.begin()

@@ -25,7 +25,7 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 from tilth.simulator.traffic import simulate
 
@@ -65,7 +65,7 @@ def logged_drive(path: Path, seconds: float) -> tuple[Machine, str, list[Frame]]
     machine = parse_machine(text)
     rows = list(simulate(machine, 1, seconds))
     fold = GuardedFold(machine)
-    writer = LogWriter(path, machine, text, RunPart("bench", 1, 0))
+    writer = LogWriter(path, MachineFile(machine, text), RunPart("bench", 1, 0))
     for frame in rows:
         writer.frame(frame)
         for publication, data in fold.take(frame):
@@ -80,8 +80,8 @@ def ways(
     def with_out() -> None:
         out = folder / "out.mcap"
         out.unlink(missing_ok=True)
-        writer = LogWriter(out, machine, text, RunPart("bench", 1, 0))
-        replay([path], machine, text, outputs=ReplayOutputs(writer=writer))
+        writer = LogWriter(out, MachineFile(machine, text), RunPart("bench", 1, 0))
+        replay([path], MachineFile(machine, text), outputs=ReplayOutputs(writer=writer))
         writer.close()
 
     def decode(some: Iterable[Frame]) -> int:
@@ -94,9 +94,9 @@ def ways(
         "readers.frames": lambda: sum(1 for _ in frames(path)),
         "Decoder.measurements alone": lambda: decode(rows),
         "readers.frames, Decoder.measurements": lambda: decode(frames(path)),
-        "replay": lambda: replay([path], machine, text),
+        "replay": lambda: replay([path], MachineFile(machine, text)),
         "replay --verify": lambda: replay(
-            [path], machine, text, outputs=ReplayOutputs(comparison=Comparison())
+            [path], MachineFile(machine, text), outputs=ReplayOutputs(comparison=Comparison())
         ),
         "replay --out": with_out,
     }

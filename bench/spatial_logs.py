@@ -32,6 +32,8 @@ from estimation_study import NMEA_2000, STAR_FIRE
 from rich.progress import Progress, TimeElapsedColumn
 from wrong_files import packaged
 
+from tilth.estimator.rig.adjustments import Amount
+from tilth.estimator.rig.numbers import changed
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import drawn as drawn_rig
 from tilth.simulator.fleet import headlands_of, scenario_of
@@ -117,6 +119,8 @@ class LogRow:
     gaps: tuple[tuple[float, float], ...] = ()  # s of the run, not recorded
     informed_s: float = 0.0  # from when on what is learned is of another soil
     rig: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # what its machine file has instead
+    plant: Callable[[Scenario], Scenario] = lambda scenario: scenario  # last change of what is driven
+    further_forward: float = 0.0  # m, by which the implement's CG is ahead of where its file says
 
 
 def base(row: LogRow, seed: int, have: Drawn) -> Scenario:
@@ -135,7 +139,7 @@ def base(row: LogRow, seed: int, have: Drawn) -> Scenario:
         roll_sensor=RollSensor(draw=True),
         other_traffic=False,
     )
-    return replace(scenario, **row.changes(seed, have))
+    return row.plant(replace(scenario, **row.changes(seed, have)))
 
 
 def machine_of(row: LogRow, seed: int, have: Drawn) -> str:
@@ -235,7 +239,11 @@ def source_of(row: LogRow, seed: int) -> SimulationInput:
         told = as_json(scenario)
         return SimulationInput(parse_machine(text), text, scenario, told, seed, row.seconds, driven)
     scenario, text = base(row, seed, have), machine_of(row, seed, have)
-    return SimulationInput(parse_machine(text), text, scenario, as_json(scenario), seed, row.seconds)
+    machine = parse_machine(text)
+    behind, forward = Amount(-row.further_forward), Amount(row.further_forward)
+    moved = changed(machine, {"d": behind, "e": forward, "lever_i": behind})
+    driven = moved if row.further_forward else None
+    return SimulationInput(machine, text, scenario, as_json(scenario), seed, row.seconds, driven)
 
 
 def is_there(folder: Path, source: SimulationInput) -> bool:

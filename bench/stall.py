@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 from tilth.logger.clock import Clock
 from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 
 PER_S = 7600
@@ -50,7 +50,9 @@ def paced(seconds: float, take: Callable[[Frame], None], tick: Callable[[int], N
 def recorder(folder: Path, seconds: float) -> tuple[float, float]:
     text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
     text = text.replace("[log]", "[log]\nrotate_minutes = 0.034")
-    recording = Recording(folder, parse_machine(text), text, Clock(), lambda *message: None, lambda: "{}")
+    recording = Recording(
+        folder, MachineFile(parse_machine(text), text), Clock(), lambda *message: None, lambda: "{}"
+    )
     found = paced(seconds, recording.frame, recording.tick)
     recording.close()
     assert recording.missed == 0

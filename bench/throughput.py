@@ -43,7 +43,7 @@ from tilth.logger.display import NoDisplay
 from tilth.logger.run_summary import RunSummary
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
@@ -140,7 +140,7 @@ def per_frame(seconds: float) -> None:
     machine, text = rig([free_port(socket.SOCK_DGRAM)])
     frames = list(simulate(machine, 1, seconds))
     with tempfile.TemporaryDirectory() as folder:
-        daemon = Daemon(machine, text, Path(folder), "", NoDisplay())
+        daemon = Daemon(MachineFile(machine, text), Path(folder), "", NoDisplay())
         costs = np.empty(len(frames))
         began = time.perf_counter()
         for number, frame in enumerate(frames):
@@ -200,7 +200,7 @@ def memory(minutes: int) -> None:
     child.ready()
     child.go()
     with tempfile.TemporaryDirectory() as folder:
-        daemon = Daemon(machine, text, Path(folder), "", NoDisplay())
+        daemon = Daemon(MachineFile(machine, text), Path(folder), "", NoDisplay())
         before = resident_mb()
         sizes = []
         while rows := child.line.recv():
@@ -246,7 +246,9 @@ def _until_sent(
             state["answer"], state["end"] = child.answer(), time.monotonic() + SETTLE_S
         return state["answer"] is not None and time.monotonic() > state["end"]
 
-    summary = run_daemon(machine, text, log_folder=folder, simulated="bench/throughput.py", stop=stop)
+    summary = run_daemon(
+        MachineFile(machine, text), log_folder=folder, simulated="bench/throughput.py", stop=stop
+    )
     sent, took_s = state["answer"]
     return summary, sent, took_s
 

@@ -19,7 +19,7 @@ from prompted_live import virtual_cab
 from tilth.cli import WrongUse
 from tilth.logger.daemon import run_daemon
 from tilth.schemas.experiment import ExperimentPlan, PlanError, parse_plan
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
 from tilth.simulator.simulate import PACKAGED
@@ -54,7 +54,7 @@ def drive(plan: ExperimentPlan, path: Path, text: str, log: Path, arms: bool) ->
         print(f"  uv run tilth experiment {path} --connect {cab.endpoint}")
         print(f"  uv run tilth monitor --connect {cab.endpoint}", flush=True)
         summary = run_daemon(
-            cab.machine, cab.text, log_folder=log, simulated="bench/virtual_cab.py",
+            MachineFile(cab.machine, cab.text), log_folder=log, simulated="bench/virtual_cab.py",
             stop=lambda: bool(stopping) or cab.over,
         )  # fmt: skip
         late = cab.stop()

@@ -40,6 +40,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("replay", "feed logs through the estimators again"),
     ("fit", "the parameters of each run in logs, and of all together"),
     ("compare", "what differs beyond chance between two logs or fits"),
+    ("import", "make a log of a table of positions and wheel angles"),
     ("export", "write what logs hold to Parquet, CSV or MAT files"),
     ("report", "tell what was driven and found, in one HTML file"),
     ("demo", "drive a simulated tractor through the whole chain"),
@@ -223,6 +224,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--version", action=_Version, nargs=0, help="say which version this is")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     wanted = next((word for word in words if not word.startswith("-")), None)
+    if wanted is not None and wanted not in dict(COMMANDS):
+        parser.exit(2, f"tilth: {_no_command(wanted)}\n")
     if wanted in RECORDERS:
         import_can()
     for name, summary in COMMANDS:
@@ -244,6 +247,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             with suppress(OSError):
                 _drop_output()
     return status
+
+
+def _no_command(word: str) -> str:
+    import difflib  # for a slip only
+
+    near = difflib.get_close_matches(word, dict(COMMANDS), n=2, cutoff=0.6)
+    meant = f"; did you mean {' or '.join(near)}?" if near else "."
+    return f"there is no command {word}{meant} {command('--help')} lists all"
 
 
 def _drop_output() -> None:

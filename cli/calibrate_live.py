@@ -44,7 +44,7 @@ def run_live(args: argparse.Namespace) -> int:
     """0 where what was driven has been computed and written as wanted, else 1."""
     if args.json:
         raise WrongUse("--json is for logs; --live shows what it finds here and on the page")
-    machine = read_machine(args.machine)[0] if args.machine is not None else None
+    machine = read_machine(args.machine).machine if args.machine is not None else None
     if missing := next((path for path in args.logs if not path.is_file()), None):
         raise WrongUse(f"{missing}: there is no such log")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -194,7 +194,7 @@ def _logs(
     begun = _first_log(wires)
     try:
         if machine is None:
-            machine, _ = machine_in([begun])
+            machine = machine_in([begun]).machine
         return machine, FollowedLogs(machine, args.logs, bus_names(args.bus, machine), begun)
     except LogError as error:
         raise WrongUse(str(error)) from None

@@ -24,7 +24,8 @@ from tilth.estimator.calibration.verdict import NOT_IDENTIFIABLE
 from tilth.logger.log import whole_file
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import machine_in
-from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine import MachineError
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable, reason_of
 
 _say = partial(say, "calibrate")
@@ -35,12 +36,12 @@ WIDTH = 120  # of what goes into a file
 
 def run_logs(args: argparse.Namespace) -> int:
     """1 where the drive tells nothing, or nothing was written that was to be."""
-    machine, text = _machine(args)
-    buses = buses_of(args, machine)
+    machine_file = _machine(args)
+    buses = buses_of(args, machine_file.machine)
     try:
         with log_errors(), ExitStack() as stack:
             progress = _progress(stack, args.json)
-            found = calibrate_logs(args.logs, machine, text, buses, _say, progress, growing=args.live)
+            found = calibrate_logs(args.logs, machine_file, buses, _say, progress, growing=args.live)
     except CannotCalibrate as error:
         return _refused(args, error)
     if not args.json:
@@ -59,7 +60,7 @@ def run_logs(args: argparse.Namespace) -> int:
     return status
 
 
-def _machine(args: argparse.Namespace) -> tuple[Machine, str]:
+def _machine(args: argparse.Namespace) -> MachineFile:
     """Raises WrongUse, MachineError, CommandFailed."""
     if args.machine is None:
         with log_errors():

@@ -29,7 +29,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where there is a problem."""
-    machine, _ = read_machine(args.machine)
+    machine = read_machine(args.machine).machine
     findings = check(machine, args.log or Path(machine.log.folder), args.seconds)
     fine = all(finding.state is not Level.PROBLEM for finding in findings)
     if args.json:

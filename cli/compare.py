@@ -14,10 +14,12 @@ from rich.table import Table as RichTable
 from tilth.analysis.fit.compare import FitComparison, NotComparable, compare
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
 from tilth.analysis.fit.result import FitAnswer, as_json
+from tilth.analysis.runs.nuisance_words import WORDS, nuisance_value
 from tilth.analysis.runs.run import open_runs
 from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.spread import scale_of, unit_of
 
 _say = partial(say, "compare")
 
@@ -79,10 +81,14 @@ def _show(found: FitComparison) -> None:
     table = RichTable()
     for heading in ("", "first", "second", "change", "beyond chance"):
         table.add_column(heading)
-    for one in (*found.parameters, *(row for row in found.nuisances if row.beyond_chance)):
-        change = f"× {math.exp(one.change):.2f}" if one in found.parameters else f"{one.change:+.3g}"
+    for one in found.parameters:
+        values = (f"{scale_of(one.name) * value:.4g}" for value in (one.first, one.second))
         told = "yes" if one.beyond_chance else "no"
-        table.add_row(one.name, f"{one.first:.4g}", f"{one.second:.4g}", change, told)
+        table.add_row(f"{one.name}, {unit_of(one.name)}", *values, f"× {math.exp(one.change):.2f}", told)
+    for one in found.nuisances:
+        if one.beyond_chance:
+            texts = (nuisance_value(one.name, value) for value in (one.first, one.second))
+            table.add_row(f"{WORDS[one.name].words} ({one.name})", *texts, "", "yes")
     console.print(table)
     if found.missing:
         console.print(f"Not given by both: {', '.join(found.missing)}")

@@ -51,7 +51,7 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> Answer:
     """What the daemon answers on a key below its prefix. Raises WrongUse where none does, or it refuses."""
     prefix, name, endpoints = Zenoh().prefix, "", Zenoh().listen
     if args.machine is not None:
-        machine, _ = read_machine(args.machine)
+        machine = read_machine(args.machine).machine
         prefix, name, endpoints = machine.zenoh.prefix, machine.name, machine.zenoh.listen
         if machine.zenoh.config is not None and args.config is None:
             raise WrongUse("this machine wants a key: give an operator's with --config")

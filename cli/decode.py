@@ -14,9 +14,9 @@ from functools import partial
 from pathlib import Path
 
 from tilth.cli import add_bus_names, buses_of, say
+from tilth.cli.decode_summary import CLAIM, Summary, name_text
 from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
-from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import LogError, OpenLog, Record
@@ -27,6 +27,7 @@ from tilth.schemas.decode import Decoder, Unread
 from tilth.schemas.device_names import device, name_words
 from tilth.schemas.flow import Frame, Message
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.readable import reason_of
@@ -35,7 +36,6 @@ from tilth.schemas.sentences import rejection_sentence
 
 _say = partial(say, "decode")
 
-_CLAIM = 60928
 _YEAR_NS = 365 * 86_400_000_000_000  # stamps below it are no dates
 
 
@@ -77,8 +77,9 @@ class _Decoding:
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "decode",
-        help="print the messages of a log, one a line",
-        description="Print the messages of a log, one a line; at the end, on stderr, what was not decoded.",
+        help="print the messages of a log, one a line; on a terminal, their summary",
+        description="Print the messages of a log, one a line; on a terminal, who sent what how often. At "
+        "the end, on stderr, what was not decoded.",
         epilog=_decoded(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -90,7 +91,11 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="whose sensors these are; a log of tilth's knows its own",
     )
     add_bus_names(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--json", action="store_true", help="one JSON object a line")
+    shown.add_argument(
+        "--lines", action="store_true", help="the messages on a terminal, too, not their summary"
+    )
 
 
 def _decoded() -> str:
@@ -106,17 +111,20 @@ def _decoded() -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    machine, text = _machine(args)
+    machine_file = _machine(args)
+    machine = machine_file and machine_file.machine
     buses = buses_of(args, machine)
-    sha256 = machine_sha256(machine, text) if machine is not None else ""
-    decoding = _Decoding(machine, sha256, Decoder(machine))
-    write_line = _json_line if args.json else _text_line
+    decoding = _Decoding(machine, machine_file.sha256 if machine_file else "", Decoder(machine))
+    summary = Summary()
+    line = _json_line if args.json else _text_line
+    if sys.stdout.isatty() and not (args.json or args.lines):
+        line = summary.take
     status = 0
     for path in args.logs:
         try:
             log = open_log(path)
             with closing(log.file):
-                _decode(log, _records(log, machine, buses), decoding, write_line)
+                _decode(log, _records(log, machine, buses), decoding, line)
                 _tell_end(log, decoding.rejected)
         except LogError as error:
             _say(str(error))
@@ -129,6 +137,8 @@ def run(args: argparse.Namespace) -> int:
             _say(f"{path}: {reason_of(error)}")
             status = max(status, 1)
     decoding.close_counts()
+    if summary.rows:
+        summary.show()
     _tell_counts(decoding.count, decoding.rejected)
     for text in decoding.turn_rates.sentences():
         _say(text)
@@ -136,14 +146,14 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
-def _machine(args: argparse.Namespace) -> tuple[Machine | None, str]:
-    """The machine file given, else the one in the logs, if any, and its text. Raises MachineError."""
+def _machine(args: argparse.Namespace) -> MachineFile | None:
+    """The machine file given, else the one in the logs, if any. Raises MachineError."""
     if args.machine is not None:
         return read_machine(args.machine)
     try:
         return machine_in(args.logs, plausible=False)
     except LogError:
-        return None, ""  # without one all that needs none is decoded
+        return None  # without one all that needs none is decoded
 
 
 def _records(log: OpenLog, machine: Machine | None, buses: Mapping[str, str]) -> Iterable[Record]:
@@ -172,7 +182,7 @@ def _json_line(message: Message) -> str:
         "t_ns": message.t_ns,
         "bus": origin.bus,
         "source": origin.source,
-        "name": _name(message),
+        "name": name_text(message),
         "pgn": message.pgn,
         "title": message.title,
         "priority": message.priority,
@@ -182,7 +192,7 @@ def _json_line(message: Message) -> str:
     }
     if message.sid is not None:
         row["sid"] = message.sid
-    if message.pgn == _CLAIM and origin.name is not None:
+    if message.pgn == CLAIM and origin.name is not None:
         row |= name_words(origin.name)
     if message.dropped:
         row["dropped"] = {
@@ -200,7 +210,7 @@ def _text_line(message: Message) -> str:
     words += [f"{key}=[{len(rows)}]" for key, rows in message.groups.items() if rows]
     words += [f"({key}={_short(value)}: {Rejection.OUT_OF_RANGE})" for key, value in message.dropped.items()]
     origin = message.origin
-    if message.pgn == _CLAIM and origin.name is not None:
+    if message.pgn == CLAIM and origin.name is not None:
         words.append(f"({device(origin.name)})")
     if message.destination != BROADCAST:
         words.append(f"(to {message.destination})")
@@ -208,12 +218,8 @@ def _text_line(message: Message) -> str:
         words.append(f"({message.reason})")
     if message.repeat:
         words.append("(repeated)")
-    who = f"{origin.bus:<8} {origin.source:>3} {_name(message) or '-':<16}"
+    who = f"{origin.bus:<8} {origin.source:>3} {name_text(message) or '-':<16}"
     return f"{_time(message.t_ns)}  {who}  {message.pgn:>6}  {message.title}: {'  '.join(words)}\n"
-
-
-def _name(message: Message) -> str | None:
-    return None if message.origin.name is None else f"{message.origin.name:016X}"
 
 
 def _short(value: object) -> str:

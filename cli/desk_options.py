@@ -14,8 +14,8 @@ from tilth.analysis.sensitivity.outputs import NAMES, SPEEDS
 from tilth.cli import WrongUse, exists, say
 from tilth.estimator.models.family import MODELS
 from tilth.estimator.models.manoeuvres import MANOEUVRES, manoeuvre_named
-from tilth.logger.log.mcap_log import machine_sha256, software
-from tilth.schemas.machine import Machine
+from tilth.logger.log.software import software
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import reason_of
 
 STEP = "step"  # of MANOEUVRES
@@ -106,9 +106,9 @@ def check_name(option: str, word: str, known: Iterable[str]) -> None:
     raise WrongUse(f"{option} {word}: there is no such name{hint} There are {', '.join(there)}")
 
 
-def made_by(machine: Machine, text: str) -> Made:
+def made_by(machine_file: MachineFile) -> Made:
     """What a report says of its origin."""
-    return {"machine_sha256": machine_sha256(machine, text), "software": software()}
+    return {"machine_sha256": machine_file.sha256, "software": software()}
 
 
 def write_report(of: str, build: Callable[[Data], DriveReport], data: Data, out: Path) -> int:

@@ -10,7 +10,7 @@ from tilth.logger.log.runs import stored_runs
 from tilth.schemas.experiment import ExperimentPlan, edited
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import command, in_background
-from tilth.schemas.spread import of_logarithm, share
+from tilth.schemas.spread import of_parameter, share
 
 EDITED: Final = "The plan was edited after its numbers were predicted: nothing is expected of it."
 _FAILED: Final = "Nothing could be fitted: {}"
@@ -82,11 +82,9 @@ def lines_of(answer: Mapping[str, Any], plan: ExperimentPlan) -> tuple[str, ...]
         if row["value"] is None:
             lines.append(f"{name}: {row['reason']}{expected}")
             continue
-        scale, unit = (1e-3, "kN/rad") if name.startswith("C_") else (1.0, "m")
         k = PARAMETERS.index(name)
         percent = share(math.sqrt(answer["joint"]["log_covariance"][k][k]), bare=True)
-        text = of_logarithm(scale * row["value"], scale * row["sd"], unit)
-        lines.append(f"{name}: {text}, {percent}{expected}")
+        lines.append(f"{name}: {of_parameter(name, row['value'], row['sd'])}, {percent}{expected}")
     if len(answer["runs"]) > 1:
         lines.append(answer["agreement"]["sentence"])
     if edited(plan):

@@ -23,6 +23,7 @@ from tilth.schemas.experiment import KINDS, DrivingLimits, PlanError, Rectangle
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_difference import differing
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable, reason_of
 
 _say = partial(say, "experiment")
@@ -42,13 +43,13 @@ def propose(args: argparse.Namespace) -> int:
     if args.out.exists():
         raise WrongUse(f"{args.out} exists and is not overwritten; give another --out")
     check_folder(args.out.parent)
-    machine, text = read_machine(args.machine)
+    machine_file = read_machine(args.machine)
     try:
         wanted = _wanted(args)
         with ExitStack() as stack:
             show = bars(stack)
             with log_errors():
-                known = _known(args, machine, text, show)
+                known = _known(args, machine_file, show)
             found = best_plan(known, wanted, _searching(show))
     except PlanError as error:
         raise WrongUse(str(error)) from None
@@ -117,8 +118,9 @@ def _name(out: Path) -> str:
     return kept or "plan"
 
 
-def _known(args: argparse.Namespace, machine: Machine, text: str, show: Steps) -> Known:
+def _known(args: argparse.Namespace, machine_file: MachineFile, show: Steps) -> Known:
     """Raises LogError, CannotFit, WrongUse."""
+    machine = machine_file.machine
     if not args.logs:
         return from_machine(machine)
     for log in args.logs:
@@ -127,7 +129,7 @@ def _known(args: argparse.Namespace, machine: Machine, text: str, show: Steps) -
     if not all(
         log.is_file() and is_mcap(log) for log in args.logs
     ):  # of other programs: no machine file in it
-        return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say), show)
+        return _learned(args, machine, open_runs(args.logs, machine=machine_file, say=_say), show)
     runs = open_runs(args.logs, say=_say)
     for run in runs:
         if run.machine.name != machine.name:
@@ -137,11 +139,9 @@ def _known(args: argparse.Namespace, machine: Machine, text: str, show: Steps) -
             )
     if all(_same_rig(run.machine, machine) for run in runs):
         # Texts that differ in buses alone would be of different rigs to a fit.
-        return _learned(
-            args, machine, [replace(run, machine=machine, machine_text=text) for run in runs], show
-        )
+        return _learned(args, machine, [replace(run, machine_file=machine_file) for run in runs], show)
     own = {source: run.machine for run in runs for source in run.sources}
-    return _learned(args, machine, open_runs(args.logs, machine=(machine, text), say=_say), show, own)
+    return _learned(args, machine, open_runs(args.logs, machine=machine_file, say=_say), show, own)
 
 
 def _learned(

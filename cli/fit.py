@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -11,7 +12,8 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from tilth.analysis.fit.fitting import CannotFit, NoSteering, check_same_rig, choose, fit_all
-from tilth.analysis.fit.result import FitAnswer, RunAnswer, as_json
+from tilth.analysis.fit.result import FitAnswer, as_json
+from tilth.analysis.fit.summary import latex, rows_of, title_of, write_csv
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import KINDS
 from tilth.cli import WrongUse, add_bus_names, add_processes, say
@@ -21,7 +23,7 @@ from tilth.cli.progress_bar import bars
 from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine_difference import differing
-from tilth.schemas.spread import of_logarithm
+from tilth.schemas.spread import of_parameter, unit_of
 
 _say = partial(say, "fit")
 
@@ -41,7 +43,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
     add_processes(parser, "--jobs")
     add_bus_names(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--json", action="store_true", help="one JSON object to stdout; SI")
+    shown.add_argument(
+        "--csv", action="store_true", help="the table as CSV to stdout: estimates and 95 %% intervals"
+    )
+    shown.add_argument("--latex", action="store_true", help="the table as a LaTeX tabular to stdout")
+    shown.add_argument("--all", action="store_true", help="a table of its own for each segment")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,8 +74,12 @@ def run(args: argparse.Namespace) -> int:
     answer = as_json(fitted)
     if args.json:
         print(json.dumps(answer))
+    elif args.csv:
+        write_csv(answer, sys.stdout)
+    elif args.latex:
+        print(latex(answer))
     else:
-        _show(answer)
+        _show(answer, each=args.all)
     if fitted.joint is None:
         return 1
     for reason in filter(None, dict.fromkeys(map(_withheld, runs))):
@@ -89,33 +101,61 @@ def _check_same_rig(runs: Sequence[Run]) -> None:
     try:
         check_same_rig(runs)
     except CannotFit as error:
-        texts = {run.machine_text: run for run in runs}  # they may differ by their DBC files alone
+        texts = {run.machine_file.text: run for run in runs}  # they may differ by their DBC files alone
         other = [*texts.values(), runs[-1]][1]
         keys = differing(runs[0].machine, other.machine)
         raise CannotFit(f"{error}. They differ in {keys}") from None
 
 
-def _show(answer: FitAnswer) -> None:
+def _show(answer: FitAnswer, each: bool) -> None:
+    """each: with a table for each segment, all reasons in it."""
     console = Console()
-    for run in answer["runs"]:
-        told = ", ".join(run["determined"])
-        console.print(_table(_title(run), run["parameters"]))
-        if told:
-            console.print(f"determined: {told}")
+    if each:
+        for run in answer["runs"]:
+            console.print(_table(title_of(run), run["parameters"]))
+            if run["determined"]:
+                console.print(f"determined: {', '.join(run['determined'])}")
     if answer["joint"] is None or answer["agreement"] is None:
+        _reasons(console, answer)
         console.print("No segment told anything; the reasons stand above.")
         return
+    if not each or len(answer["runs"]) > 1:
+        console.print(_summary(answer))
+    _reasons(console, answer)
     if len(answer["runs"]) > 1:
-        console.print(_table("all together", answer["joint"]["parameters"]))
         console.print(answer["agreement"]["sentence"])
-        for group in answer["groups"]:
-            if len(group["segments"]) > 1:
-                console.print(_table(f"together: {group['name']}", group["parameters"]))
 
 
-def _title(run: RunAnswer) -> str:
-    what = run["name"] or run["kind"].replace("_", " ")
-    return f"segment {run['id']}, {what}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
+def _summary(answer: FitAnswer) -> RichTable:
+    """All segments, groups and all together: at most 80 columns."""
+    table = RichTable(title="estimate and 95 % interval", title_justify="left", padding=0)
+    table.add_column("segment", overflow="fold", max_width=16)
+    for name in PARAMETERS:
+        table.add_column(f"{name}\n{unit_of(name)}", justify="right", no_wrap=True)
+    for row in rows_of(answer):
+        table.add_row(
+            row.title, *(_cell(name, row.parameters[name]) for name in PARAMETERS), end_section=row.is_last
+        )
+    return table
+
+
+def _cell(name: str, one: ParameterEntry) -> str:
+    if one["value"] is None or one["sd"] is None:
+        return "–"
+    value, _, spread = of_parameter(name, one["value"], one["sd"], bare=True).partition(" ")
+    return f"{value}\n{spread.replace(' ', '')}"
+
+
+def _reasons(console: Console, answer: FitAnswer) -> None:
+    """Why there is no number, each reason once."""
+    said: dict[str, dict[str, list[str]]] = {}
+    for row in rows_of(answer):
+        for name, one in row.parameters.items():
+            if one["value"] is None:
+                said.setdefault(one["reason"], {}).setdefault(row.name, []).append(name)
+    for reason, where in said.items():
+        told = "; ".join(f"{place}: {', '.join(names)}" for place, names in where.items())
+        console.print(f"– {told}: {reason}")
 
 
 def _table(title: str, parameters: dict[str, ParameterEntry]) -> RichTable:
@@ -124,9 +164,8 @@ def _table(title: str, parameters: dict[str, ParameterEntry]) -> RichTable:
         table.add_column(heading, overflow="fold")
     for name in PARAMETERS:
         row = parameters[name]
-        unit = "N/rad" if name.startswith("C_") else "m"
         text = (
-            "-" if row["value"] is None or row["sd"] is None else of_logarithm(row["value"], row["sd"], unit)
+            "-" if row["value"] is None or row["sd"] is None else of_parameter(name, row["value"], row["sd"])
         )
         table.add_row(name, text, row["status"], row["reason"])
     return table

@@ -67,7 +67,7 @@ def _change(args: argparse.Namespace) -> None:
         raise WrongUse(f"this computer's clock says {now:%Y-%m-%d}; set it, keys last from today")
     written: list[Path] = []
     if args.machine is not None:
-        machine, _ = read_machine(args.machine)
+        machine = read_machine(args.machine).machine
         register = keys.Register(machine.name, machine.zenoh.prefix, tuple(args.host), args.port)
         written += keys.make(args.folder, register, now)
     elif args.host:

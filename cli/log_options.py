@@ -9,7 +9,7 @@ from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import buses_of
 from tilth.logger.machine_file import read_machine
 from tilth.replay.readers.rig import machine_in
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 
 
 def add_machine(parser: argparse.ArgumentParser, what: str = "instead of the one in the logs") -> None:
@@ -36,19 +36,19 @@ def _times(text: str) -> GivenTimes:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def given_machine(args: argparse.Namespace) -> tuple[Machine, str] | None:
-    """That of --machine and its text. Raises MachineError."""
+def given_machine(args: argparse.Namespace) -> MachineFile | None:
+    """That of --machine. Raises MachineError."""
     return read_machine(args.machine) if args.machine else None
 
 
 def runs_of(
     args: argparse.Namespace,
-    machine: tuple[Machine, str] | None,
+    machine: MachineFile | None,
     say: Callable[[str], None],
     progress: Callable[[int, int], None],
 ) -> tuple[Run, ...]:
     """Those in args.logs. progress: takes (done, all). Raises WrongUse, LogError, MachineError, OSError."""
     buses: dict[str, str] = {}
     if args.bus:
-        buses = buses_of(args, (machine or machine_in(args.logs))[0])
+        buses = buses_of(args, (machine or machine_in(args.logs)).machine)
     return open_runs(args.logs, machine=machine, buses=buses, progress=progress, say=say)

@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.machine is None:
         raise WrongUse("name the machine file of the rig, or ask for --parameters")
-    machine, _ = read_machine(args.machine)
+    machine = read_machine(args.machine).machine
     say_unusual("model", machine)
     rig = rig_of(machine)
     models = [model_named(name) for name in dict.fromkeys(args.model or [])] or list(LINEAR)

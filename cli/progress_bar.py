@@ -9,14 +9,16 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 Steps = Callable[[str, float, float], None]  # what, done, of all
+LINE_S = 10.0  # from one line to the next
 EACH_S = 0.1  # from one drawing to the next
 
 
 def bars(stack: ExitStack) -> Steps:
-    """One bar for each thing that is told of, until the stack ends; none where nobody looks at one. They go
-    to stderr, so JSON on stdout stays alone."""
+    """One bar for each thing that is told of, until the stack ends; lines where stderr is no terminal. They
+    go to stderr, so JSON on stdout stays alone."""
     if not sys.stderr.isatty():
-        return lambda what, done, of: None
+        said = _Lines()
+        return lambda what, done, of: said.take(what, done / of if of else 1.0)
     bar, draw = _bar(stack)
     tasks: dict[str, TaskID] = {}
 
@@ -32,7 +34,7 @@ def bars(stack: ExitStack) -> Steps:
 def stages(stack: ExitStack) -> Callable[[str, float], None]:
     """One bar whose words are what is done now, with its share, until the stack ends; as `bars`."""
     if not sys.stderr.isatty():
-        return lambda what, share: None
+        return _Lines().take
     bar, draw = _bar(stack)
     task = bar.add_task("", total=1.0)
 
@@ -41,6 +43,19 @@ def stages(stack: ExitStack) -> Callable[[str, float], None]:
         draw()
 
     return show
+
+
+class _Lines:
+    """For a file or a pipe: a line now and then while the work takes long."""
+
+    def __init__(self) -> None:
+        self._said_s = time.monotonic()
+
+    def take(self, what: str, share: float) -> None:
+        now_s = time.monotonic()
+        if now_s - self._said_s >= LINE_S:
+            self._said_s = now_s
+            print(f"{what}: {100 * share:.0f} %", file=sys.stderr, flush=True)
 
 
 def _bar(stack: ExitStack) -> tuple[Progress, Callable[[], None]]:

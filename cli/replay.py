@@ -13,8 +13,8 @@ import zenoh
 from rich.console import Console
 from rich.table import Table
 
-from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import SAYS
+from tilth.analysis.runs.nuisance_words import WORDS, nuisance_text
 from tilth.cli import WrongUse, add_bus_names, buses_of, say, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
@@ -35,10 +35,11 @@ from tilth.schemas.device_names import device
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Origin
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_difference import differing
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable, reason_of
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences import event_sentence, rejection_sentence, sentence
-from tilth.schemas.spread import of_logarithm
+from tilth.schemas.spread import of_parameter
 
 _say = partial(say, "replay")
 
@@ -77,16 +78,17 @@ def run(args: argparse.Namespace) -> int:
     comparison = Comparison() if args.verify else None
     with log_errors(args.out):
         _check_logs(args)
-        machine, text = read_machine(args.machine) if args.machine else machine_in(args.logs)
+        machine_file = read_machine(args.machine) if args.machine else machine_in(args.logs)
+        machine = machine_file.machine
         say_unusual("replay", machine)
         _say_other_files(args, machine)
         buses = buses_of(args, machine)
         with ExitStack() as stack:
-            outputs = _outputs(stack, args, machine, text, comparison)
+            outputs = _outputs(stack, args, machine_file, comparison)
             simulated = simulated_by(args.logs)
             if simulated:
                 _say(SAID)
-            summary = replay(args.logs, machine, text, buses=buses, outputs=outputs, say=_say)
+            summary = replay(args.logs, machine_file, buses=buses, outputs=outputs, say=_say)
     if args.json:
         print(json.dumps({**_as_json(summary, comparison), "simulated": bool(simulated)}))
     else:
@@ -99,7 +101,7 @@ def _say_other_files(args: argparse.Namespace, machine: Machine) -> None:
     """Where a log holds another machine file than the one that is used. Raises LogError, MachineError."""
     for path in args.logs if args.machine is None else ():
         with suppress(LogError, MachineError):  # those without any take this one, which is said elsewhere
-            own, _ = machine_in([path])
+            own = machine_in([path]).machine
             if own != machine:
                 _say(
                     f"{path}: its machine file differs in {differing(machine, own)}; that of {args.logs[0]} "
@@ -124,15 +126,15 @@ def _check_logs(args: argparse.Namespace) -> None:
 
 
 def _outputs(
-    stack: ExitStack, args: argparse.Namespace, machine: Machine, text: str, comparison: Comparison | None
+    stack: ExitStack, args: argparse.Namespace, machine_file: MachineFile, comparison: Comparison | None
 ) -> ReplayOutputs:
     """Open what the results go to; the stack closes it."""
     writer = publish = None
     if args.out is not None:
-        writer = _writer(stack, args, machine, text)
+        writer = _writer(stack, args, machine_file)
         stack.callback(_close, writer, args.out)
     if args.publish:
-        sink = _zenoh(machine)
+        sink = _zenoh(machine_file.machine)
         stack.callback(sink.close)
         publish = sink.put
     steps, size = bars(stack), sum(path.stat().st_size for path in args.logs)
@@ -140,11 +142,11 @@ def _outputs(
     return ReplayOutputs(writer, publish, comparison, pace, lambda done: steps("replay", done, size))
 
 
-def _writer(stack: ExitStack, args: argparse.Namespace, machine: Machine, text: str) -> LogWriter:
+def _writer(stack: ExitStack, args: argparse.Namespace, machine_file: MachineFile) -> LogWriter:
     run = RunPart(REPLAY, 1, _first_ns(args.logs), simulated=simulated_by(args.logs))
     try:
         part = stack.enter_context(whole(args.out))
-        writer = LogWriter(part, machine, text, run)
+        writer = LogWriter(part, machine_file, run)
     except FileExistsError:
         raise WrongUse(f"{args.out}: exists; a log is never overwritten, give another name") from None
     except OSError as error:
@@ -201,6 +203,9 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
             "compared": comparison.compared,
             "difference": comparison.difference or None,
             "unverifiable": comparison.unverifiable,
+            "to_the_byte": comparison.to_the_byte,
+            "recorded_elsewhere": comparison.elsewhere or None,
+            "largest": None if comparison.largest is None else comparison.largest._asdict(),
         }
     return answer
 
@@ -246,12 +251,24 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
 def _compared(comparison: Comparison) -> str:
     if comparison.difference:
         return f"Differs: {comparison.difference}"
+    found = f"{comparison.compared} results are those that were logged live, to the byte."
+    if comparison.elsewhere:
+        found = (
+            f"{comparison.compared} results are equal within their tolerances, {comparison.to_the_byte} of "
+            f"them to the byte{_largest(comparison)}; no decision differs. They were recorded elsewhere: "
+            f"{comparison.elsewhere}."
+        )
     if not comparison.unverifiable:
-        return f"All {comparison.compared} results are those that were logged live, to the byte."
-    return (
-        f"{comparison.compared} results are those that were logged live, to the byte. Not verifiable: "
-        f"{comparison.unverifiable} behind what is damaged, up to the next stored state."
-    )
+        return f"All {found}"
+    damaged = f"{comparison.unverifiable} behind what is damaged, up to the next stored state."
+    return f"{found} Not verifiable: {damaged}"
+
+
+def _largest(comparison: Comparison) -> str:
+    largest = comparison.largest
+    if largest is None:
+        return ""
+    return f", the largest difference {largest.amount:.0e} of {largest.tolerance:.0e} in {largest.field}"
 
 
 def _table(title: str, estimate: Estimate) -> Table:
@@ -259,8 +276,7 @@ def _table(title: str, estimate: Estimate) -> Table:
     for heading in ("", "estimate", "status", "reason"):
         table.add_column(heading, overflow="fold")
     for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
-        unit = "N/rad" if name.startswith("C_") else "m"
-        value_text = "-" if p.value is None or p.sd is None else of_logarithm(p.value, p.sd, unit)
+        value_text = "-" if p.value is None or p.sd is None else of_parameter(name, p.value, p.sd)
         table.add_row(name, value_text, p.status.name.lower(), sentence(p.reason))
     if (own := estimate.own_steering) is not None:
         told = f"{100 * own.share:.0f} % of it, {math.degrees(own.rms):.2f}° rms"

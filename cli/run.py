@@ -42,7 +42,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost, not recorded, or none came at all."""
-    machine, text = read_machine(args.machine)
+    machine_file = read_machine(args.machine)
+    machine = machine_file.machine
     if refused := "" if args.no_zenoh else refusal(machine):
         raise WrongUse(refused)
     stopping = False
@@ -57,8 +58,7 @@ def run(args: argparse.Namespace) -> int:
     display = PlainDisplay(sys.stdout) if plain else PanelDisplay(machine.name)
     try:
         summary = run_daemon(
-            machine,
-            text,
+            machine_file,
             log_folder=args.log,
             zenoh=not args.no_zenoh,
             seconds=args.seconds,

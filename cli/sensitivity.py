@@ -88,7 +88,8 @@ def run(args: argparse.Namespace) -> int:
     check_out(args.out)
     with log_errors():
         design = design_of(args)
-    machine, text = read_machine(args.machine)
+    machine_file = read_machine(args.machine)
+    machine = machine_file.machine
     say_unusual("sensitivity", machine)
     rig = rig_of(machine)
     if sys.stderr.isatty():
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         _show(answer)
     status = 1 if answer["refused"] else 0
     if args.out is not None:
-        status = max(status, _write(args, answer, rig, question, made_by(machine, text)))
+        status = max(status, _write(args, answer, rig, question, made_by(machine_file)))
     return status
 
 

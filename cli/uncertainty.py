@@ -32,10 +32,9 @@ from tilth.cli.desk_options import (
 )
 from tilth.cli.log_errors import log_errors
 from tilth.estimator.models.family import model_named
-from tilth.logger.log.mcap_log import machine_sha256
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 
 _say = partial(say, "uncertainty")
 
@@ -111,11 +110,12 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """1 where the rig is unstable at some of the speeds, or the log cannot be read."""
     check_out(args.out)
-    machine, text = read_machine(args.machine)
+    machine_file = read_machine(args.machine)
+    machine = machine_file.machine
     say_unusual("uncertainty", machine)
     try:
         with log_errors():
-            known = _known(args, of_machine(machine), (machine, text))
+            known = _known(args, of_machine(machine), machine_file)
         if not known.names:
             raise WrongUse("the machine file says of nothing how well it is known; give --sd NAME=SD")
         if sys.stderr.isatty():
@@ -135,13 +135,13 @@ def run(args: argparse.Namespace) -> int:
             "machine": machine.name,
             **answer,
             "command": command("uncertainty", *_words(args)),
-            "made": made_by(machine, text),
+            "made": made_by(machine_file),
         }
         status = max(status, write_report("uncertainty", uncertainty_report, data, args.out))
     return status
 
 
-def _known(args: argparse.Namespace, base: Knowledge, machine: tuple[Machine, str]) -> Knowledge:
+def _known(args: argparse.Namespace, base: Knowledge, machine: MachineFile) -> Knowledge:
     """Raises WrongUse, ValueError, LogError, OSError."""
     if args.correlation and not args.sd:
         raise WrongUse("--correlation needs --sd of both parameters")
@@ -156,11 +156,11 @@ def _known(args: argparse.Namespace, base: Knowledge, machine: tuple[Machine, st
     return given(base, sds, [_correlation(text, sds) for text in args.correlation])
 
 
-def _run_of(log: Path, machine: tuple[Machine, str]) -> Run:
+def _run_of(log: Path, machine: MachineFile) -> Run:
     """The last run of a log, with its estimates by that machine file. Raises LogError, OSError."""
     *_, run = open_runs([log], say=_say)
-    if machine_sha256(run.machine, run.machine_text) != machine_sha256(*machine):
-        _say(f"{log} was made with another machine file; it is replayed with {machine[0].machine.name}")
+    if run.machine_file.sha256 != machine.sha256:
+        _say(f"{log} was made with another machine file; it is replayed with {machine.machine.machine.name}")
         *_, run = open_runs([log], machine=machine, say=_say)
     return run
 

@@ -20,6 +20,10 @@ from tilth.client.received import HeardRig, Refused, answered_age, estimate_of, 
 from tilth.schemas.flow import Estimate, Event, EventKind
 
 SOIL_CHANGE: Final = EventKind.SOIL_CHANGE  # kind of the event
+SIMULATED: Final = (
+    "only a replay or a simulation of this machine is heard: to hear it, connect with replay=True; never on "
+    "a tractor"
+)
 WAITING: Final = 256  # calls that may wait for a slow callback; further ones are dropped and counted
 _DRIFT: Final = 1e-4  # of two computers' clocks against each other, at most
 _ANOTHER_CLOCK_S: Final = 60.0  # no connection holds a message back so long and lives
@@ -49,6 +53,7 @@ class Client:
         self._nearest_s: float | None = None  # smallest difference seen between this clock and the daemon's
         self._rig: HeardRig | None = None
         self._alive = False
+        self._simulated = False
         self._refused: Counter[str] = Counter()
         self._closed = False
         self._callbacks: list[tuple[str, Callable[[Event], None]]] = []  # kind of event or "", what to call
@@ -59,7 +64,8 @@ class Client:
         self._link = Link(session)
         self._link.hear(session.declare_subscriber(self._key), self._take_sample)
         self._link.hear(session.declare_subscriber(f"{base}/event"), self._take_event)
-        tokens = session.liveliness().declare_subscriber(f"{base}/alive", history=True)
+        # On a tractor's key also those of its replays and simulations, which are named and not followed.
+        tokens = session.liveliness().declare_subscriber(f"{base}/**/alive", history=True)
         self._link.hear(tokens, self._take_token)
 
     @classmethod
@@ -90,7 +96,7 @@ class Client:
         with self._lock:
             held, rule = self._held, self.stale
         if held is None:
-            return judge(None, math.inf, rule)
+            return judge(None, math.inf, rule, SIMULATED if self._simulated and not self.alive else "")
         return judge(held.estimate, time.monotonic() - held.received_s + held.behind_s, rule)
 
     def estimate_at(self, x: float, y: float, timeout_s: float = 1.0) -> Estimate:
@@ -246,7 +252,11 @@ class Client:
     def _take_token(self, sample: zenoh.Sample) -> None:
         """A daemon that begins has a clock of its own, and may have a value that was missed."""
         with self._lock:
-            self._alive = sample.kind == zenoh.SampleKind.PUT
+            begins = sample.kind == zenoh.SampleKind.PUT
+            if str(sample.key_expr) != f"{self._base}/alive":
+                self._simulated = begins
+                return
+            self._alive = begins
             if not self._alive or self._closed:
                 return
             self._nearest_s = None

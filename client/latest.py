@@ -103,10 +103,10 @@ def linear(rig: Rig, theta: ArrayLike, u: float, model: str = "relaxation") -> L
     return Linear(*row.matrices(rig._replace(**values), u), row.states, row.inputs)
 
 
-def judge(estimate: Estimate | None, age_s: float, rule: Staleness) -> Latest:
-    """What the rule leaves of an estimate that is so old."""
+def judge(estimate: Estimate | None, age_s: float, rule: Staleness, instead: str = "") -> Latest:
+    """What the rule leaves of an estimate that is so old. instead: what is heard where there is none."""
     if estimate is None:
-        return Latest(None, math.inf, ("nothing has been heard yet",) * _N)
+        return Latest(None, math.inf, (instead or "nothing has been heard yet",) * _N)
     if age_s > rule.silence_s:
         cause = "how old it is cannot be known" if math.isinf(age_s) else f"no estimate for {age_s:.1f} s"
         return Latest(estimate, age_s, (f"{cause}: the daemon, its buses or the network have stopped",) * _N)

@@ -99,6 +99,9 @@ def estimate_of(data: bytes, encoding: str) -> Estimate:
         parameters=rows,
         log_covariance=() if wrong else covariance,
         per_mass=tuple(row.per_mass if row.HasField("per_mass") else None for row in message.parameters),
+        per_mass_sd=tuple(
+            row.per_mass_sd if row.HasField("per_mass_sd") else None for row in message.parameters
+        ),
         nuisances={text(n.name): (n.value, n.sd) for n in message.nuisances},
         rank=message.rank,
         condition=message.condition if message.HasField("condition") else None,

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """Puts Tilth on a Debian computer, whole or not at all: install, upgrade, roll back, uninstall.
 
-    sudo python3 install.py install tilth-0.1.0-py3-none-any.whl --machine machine.toml
+    sudo python3 install.py install tilth-0.1.0-py3-none-linux_x86_64.whl --machine machine.toml
 
 Only the standard library of Python 3.11. Each release has an environment of its own, /opt/tilth/releases/<n>;
 /opt/tilth/current says which runs, /opt/tilth/previous where `rollback` goes. Logs, keys and machine file are

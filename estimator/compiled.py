@@ -62,6 +62,15 @@ class Kernel(KernelFunction, Generic[P, R]):
         _linked(self.function, linked, lambda copy, written: copy)
         return [written for written in linked if not kernel_digest.is_marked(written, INLINE)]
 
+    def with_steps(self, **steps: Callable[..., Any]) -> "Kernel[P, R]":
+        """The same kernel where these names, of functions that it calls, mean other ones: a loop with steps
+        of its user. Raises KeyError for a name that it does not call."""
+        written = self.function
+        missing = steps.keys() - called(written).keys()
+        if missing:
+            raise KeyError(f"{written.__qualname__} does not call {', '.join(sorted(missing))}")
+        return Kernel(_copied(written, written.__globals__ | steps))
+
     def interpreted(self) -> Callable[P, R]:
         """The same equations, interpreted."""
         linked: Callable[P, R] = _linked(self.function, {}, lambda copy, written: copy)
@@ -78,10 +87,13 @@ class Kernel(KernelFunction, Generic[P, R]):
         try:
             import numba
             import numpy
+
+            from tilth.estimator import kernel_store
         except (ImportError, OSError) as error:
             self.how = f"interpreted: {error}"
             return self.interpreted()
-        versions = repr((numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER, OPTIONS))
+        for_what = (kernel_store.choose(), numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER)
+        versions = repr((*for_what, OPTIONS))
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:
@@ -133,9 +145,16 @@ def _linked(function: FunctionType, linked: dict[FunctionType, Any], finish: Fin
         scope = dict(function.__globals__)
         for name, inner in called(function).items():
             scope[name] = _linked(inner, linked, finish)
-        copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
-        copy.__kwdefaults__ = function.__kwdefaults__
-        copy.__module__ = function.__module__
-        copy.__qualname__ = function.__qualname__
-        linked[function] = finish(copy, function)
+        linked[function] = finish(_copied(function, scope), function)
     return linked[function]
+
+
+def _copied(function: FunctionType, scope: dict[str, Any]) -> FunctionType:
+    """The function with other globals."""
+    copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
+    copy.__kwdefaults__ = function.__kwdefaults__
+    copy.__annotations__ = function.__annotations__
+    copy.__module__ = function.__module__
+    copy.__qualname__ = function.__qualname__
+    copy.__dict__.update(function.__dict__)
+    return copy

@@ -26,9 +26,9 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record import record_builder
 from tilth.estimator.results.flag_events import flag_events
-from tilth.estimator.results.recommend import PREFERRED, disagreement, recommend
+from tilth.estimator.results.method_state import take_events
+from tilth.estimator.results.recommend import OFFERED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.results.reporting import take_events
 from tilth.estimator.state import State as State
 from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
@@ -347,7 +347,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
         estimate = diagnosis.checked(state.diagnosis, state.machine, estimate)
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
-    if not any(estimate.method in PREFERRED for estimate in estimates):
+    if not any(estimate.method in OFFERED for estimate in estimates):
         return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)
     if found and not state.disagree:

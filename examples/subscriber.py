@@ -9,11 +9,14 @@ client (docs/client.md) also says what is too old to be used; this example does 
 import json
 import math
 import sys
+import threading
 
 import zenoh
 from google.protobuf.message import Message
 
 from tilth.schemas.proto import tilth_pb2  # or what `protoc --python_out=. tilth.proto` makes
+
+SILENT_S = 3.0
 
 
 def number(message: Message, field: str) -> float:
@@ -26,6 +29,14 @@ def sentence(row: tilth_pb2.Parameter) -> str:
     status = tilth_pb2.ParameterStatus.Name(row.status)
     value, sd, age_s = (number(row, field) for field in ("value", "sd", "age_s"))
     return f"{row.name}={value:.4g} sd={sd:.2g} {status} {age_s:.1f} s {row.reason}".rstrip()
+
+
+def say_what_is_heard(session: zenoh.Session, base: str) -> None:
+    """For who has named another machine, or a tractor where only a simulation runs."""
+    tokens = (str(reply.ok.key_expr) for reply in session.liveliness().get("**/alive") if reply.ok)
+    found = sorted(token.removesuffix("/alive") for token in tokens)
+    if base not in found:
+        sys.stderr.write(f"nothing from {base}; heard: {', '.join(found) or 'no daemon at all'}\n")
 
 
 def main() -> int:
@@ -42,6 +53,8 @@ def main() -> int:
     ):
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config) as session:
+        unheard = threading.Timer(SILENT_S, say_what_is_heard, (session, base))
+        unheard.start()
         estimates = session.declare_subscriber(f"{base}/soil_tire")
         for sample in estimates:
             if str(sample.encoding) == "application/protobuf;tilth.SoilTireEstimate":
@@ -51,6 +64,7 @@ def main() -> int:
                 remaining -= 1
             if remaining == 0:
                 break
+        unheard.cancel()
     return 0
 
 

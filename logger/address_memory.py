@@ -20,7 +20,7 @@ from tilth.logger.log import whole_file
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.flow import EventKind
 from tilth.schemas.identity import KnownAddress
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, Report, notice
 
 FORMAT: Final = 1
@@ -32,17 +32,11 @@ class AddressMemory:
     """Kept current while the daemon runs."""
 
     def __init__(
-        self,
-        folder: Path,
-        machine: Machine,
-        sha256: str,
-        fold: GuardedFold,
-        clock: Clock,
-        report: Report,
+        self, folder: Path, machine_file: MachineFile, fold: GuardedFold, clock: Clock, report: Report
     ) -> None:
-        """sha256: of the machine file, as in the logs."""
+        machine = machine_file.machine
         self._path = folder / f"{machine.name}.addresses.json"
-        self._sha256 = sha256
+        self._sha256 = machine_file.sha256
         self._fold = fold
         self._clock = clock
         self._report = report

@@ -1,8 +1,8 @@
 """Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
 
-`python -m tilth.logger.compiling MACHINE.toml` does it in advance, for whoever runs it: the installer. With
-"-" it is the recorder's own process (logger/preparing.py): the machine comes in a line, what goes out are
-lines with the share of the work that is done.
+`python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it:
+the build of a wheel, the installer. With "-" it is the recorder's own process (logger/preparing.py): the
+machine comes in a line, what goes out are lines that say how far it is.
 """
 
 import contextlib
@@ -13,11 +13,12 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.methods.estimators import rows_for
 from tilth.logger.child import unpacked
+from tilth.logger.fit_worker import in_order, rehearse
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
 
@@ -32,7 +33,16 @@ UNTRUSTED: Final = (
 )
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
-Progress = Callable[[float], None]  # takes the share of the compiling that is done, 0 to 1
+
+class Done(NamedTuple):
+    """How far the compiling is."""
+
+    functions: int
+    of: int
+    share: float  # of the work, 0 to 1
+
+
+Progress = Callable[[Done], None]
 
 
 class NoCacheFolder(Exception):
@@ -69,28 +79,29 @@ def load(machine: Machine) -> bool:
 def prepare(machine: Machine, progress: Progress) -> float:
     """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
 
-    progress: gets 0.0 when the first kernel has to be compiled, more after each function; may raise
-    CompilingStopped.
+    progress: gets a share of 0.0 when the first kernel has to be compiled, more after each function; may
+    raise CompilingStopped.
     """
     began: list[float] = []
     uncompiled = set[
         CodeType
     ]()  # functions still to be compiled; the second kernel to call one finds it kept
-    work = 0
+    work = functions = 0
 
     def begins(code: CodeType) -> None:
-        nonlocal work
+        nonlocal work, functions
         if not began:
             began.append(time.monotonic())
             waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
             uncompiled.update(f.__code__ for kernel in waiting for f in kernel.functions())
-            work = _size(uncompiled)
-            progress(0.0)
+            work, functions = _size(uncompiled), len(uncompiled)
+            progress(Done(0, functions, 0.0))
 
     def ended(code: CodeType) -> None:
         if code in uncompiled:  # not one of numba's own, nor one for other types
             uncompiled.remove(code)
-            progress(min(1.0 - _size(uncompiled) / work, MOST))
+            share = min(1.0 - _size(uncompiled) / work, MOST)
+            progress(Done(functions - len(uncompiled), functions, share))
 
     _call(machine, begins, ended)
     return time.monotonic() - began[0] if began else 0.0
@@ -187,16 +198,18 @@ def keeping_in(folder: str) -> Iterator[None]:
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
     if words == ["-"]:
-        prepare(unpacked(sys.stdin.buffer.readline()), lambda share: _print(f"{share:.3f}"))
+        prepare(unpacked(sys.stdin.buffer.readline()), lambda done: _print(" ".join(map(str, done))))
         return 0
     try:
         if len(words) != 1:
             raise MachineError("usage: python -m tilth.logger.compiling MACHINE.toml")
-        machine, _ = read_machine(Path(words[0]))
+        machine = read_machine(Path(words[0])).machine
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    prepare(machine, lambda share: None if share else _print(TEXT))
+    prepare(machine, lambda done: None if done.share else _print(TEXT))
+    for fitting in in_order(machine):
+        rehearse(fitting, machine)
     return 0
 
 

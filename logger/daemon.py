@@ -23,7 +23,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
 from tilth.logger.keeping import Keeping
 from tilth.logger.live_estimation import LiveEstimation
-from tilth.logger.log.mcap_log import ClockReason, machine_sha256
+from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.run_log import Recording
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Events, Outlets
@@ -38,7 +38,7 @@ from tilth.logger.zenoh.place_ahead import PlaceAhead
 from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
 from tilth.schemas.flow import Event, EventKind, Frame, Measurement, Ready, UtcTime
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -52,8 +52,7 @@ class Daemon:
 
     def __init__(
         self,
-        machine: Machine,
-        machine_text: str,
+        machine_file: MachineFile,
         folder: Path,
         suffix: str | None,
         display: Display,
@@ -74,6 +73,7 @@ class Daemon:
         Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
         """
         self._events: Events = deque() if events is None else events
+        machine = machine_file.machine
         supervisor = Supervisor({}) if supervisor is None else supervisor
         estimation = LiveEstimation(machine, self._report)
         fold = estimation.fold
@@ -81,15 +81,14 @@ class Daemon:
         counts = LoopCounts(started_ns=clock.t_ns())
         buses = Buses(machine.bus, clock, self._report, opener)
         self._keeping = Keeping(folder, machine, fold, clock, self._report) if keep else None
-        sha256 = machine_sha256(machine, machine_text)
-        self._addresses = AddressMemory(folder, machine, sha256, fold, clock, self._report) if keep else None
+        self._addresses = AddressMemory(folder, machine_file, fold, clock, self._report) if keep else None
         warmed = False
         if self._keeping is not None and not fresh:
             warmed = self._keeping.take_up(counts.started_ns)
         if self._addresses is not None:
             warmed |= self._addresses.take_up()
         recording = Recording(
-            folder, machine, machine_text, clock, self._report, fold.renew,
+            folder, machine_file, clock, self._report, fold.renew,
             addresses=lambda: fold.known_addresses, with_state=warmed, note=note, simulated=simulated,
         )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
@@ -214,8 +213,7 @@ class Daemon:
 
 
 def run_daemon(
-    machine: Machine,
-    machine_text: str,
+    machine_file: MachineFile,
     *,
     log_folder: Path | None = None,
     zenoh: bool = True,
@@ -236,11 +234,11 @@ def run_daemon(
     show, if anywhere. keep, fresh, note, supervisor, events: as of Daemon. Raises MachineError,
     as Daemon does.
     """
-    folder = Path(machine.log.folder) if log_folder is None else log_folder
+    folder = Path(machine_file.machine.log.folder) if log_folder is None else log_folder
     suffix = (SIMULATED_SUFFIX if simulated else "") if zenoh else None
     display = status or NoDisplay()
     daemon = Daemon(
-        machine, machine_text, folder, suffix, display,
+        machine_file, folder, suffix, display,
         keep=keep, fresh=fresh, note=note, simulated=simulated, supervisor=supervisor, events=events,
     )  # fmt: skip
     # What exists by now stays: the collector need not look at it again and again.

@@ -5,14 +5,14 @@ Its parent tells it the machine and then jobs, each in a line; it answers each j
 
 import contextlib
 import os
-import sys
+import queue
 import threading
 import time
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from threadpoolctl import threadpool_limits
 
-from tilth.estimator.methods.estimators import ROW, rows_for
+from tilth.estimator.methods.estimators import ROW, Fitting, rows_for
 from tilth.logger.child import packed, unpacked
 from tilth.schemas.machine import Machine
 
@@ -36,22 +36,38 @@ def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
         return None, f"{type(error).__name__}: {error}"
 
 
-def rehearse(machine: Machine) -> None:
-    """Compile what fits need before the first of them is asked for."""
-    for row in rows_for(machine):
-        if row.fitting is not None:
-            row.fitting.rehearse(machine)
+def rehearse(fitting: Fitting, machine: Machine) -> None:
+    """Compile what fits of a method need."""
+    with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
+        fitting.rehearse(machine)
+
+
+def in_order(machine: Machine) -> list[Fitting]:
+    """What is to be compiled, first what is asked for soonest: rows tell nothing before two minutes."""
+    fitted = [row.fitting for row in rows_for(machine) if row.fitting is not None]
+    return sorted(fitted, key=lambda fitting: fitting.latency_ns)
+
+
+def _listen(requests: IO[bytes], waiting: queue.SimpleQueue[bytes | None]) -> None:
+    for request in requests:
+        waiting.put(request)
+    waiting.put(None)
 
 
 def main() -> None:
     """Answer jobs from stdin on stdout until stdin ends."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
-    requests = sys.stdin.buffer
+    requests = os.fdopen(os.dup(0), "rb")
     machine = unpacked(requests.readline())
-    with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
-        rehearse(machine)
-    for request in requests:
+    waiting = queue.SimpleQueue[bytes | None]()
+    threading.Thread(target=_listen, args=(requests, waiting), daemon=True).start()
+    uncompiled = in_order(machine)
+    while True:
+        while uncompiled and waiting.empty():  # a fit that is asked for goes before
+            rehearse(uncompiled.pop(0), machine)
+        if (request := waiting.get()) is None:
+            return
         ticket, method, job = unpacked(request)
         started = time.perf_counter()
         made, error = make(machine, method, job)

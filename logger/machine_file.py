@@ -6,8 +6,8 @@ import tomllib
 from pathlib import Path
 
 from tilth.schemas.invocation import command
-from tilth.schemas.machine import Machine, MachineError
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine import MachineError
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.readable import reason_of
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
@@ -15,8 +15,8 @@ _ANSI = "cp1252"  # as most tools for DBC files write them
 _LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4
 
 
-def read_machine(path: Path | str) -> tuple[Machine, str]:
-    """The machine of a file and the file's own text, as it goes into the log.
+def read_machine(path: Path | str) -> MachineFile:
+    """A machine file.
 
     Relative wheel_angle.dbc and zenoh.config count from the machine file's folder. Raises MachineError in one
     sentence.
@@ -32,7 +32,7 @@ def read_machine(path: Path | str) -> tuple[Machine, str]:
     if machine.zenoh.config is not None:
         zenoh = machine.zenoh.model_copy(update={"config": str(path.parent / machine.zenoh.config)})
         machine = machine.model_copy(update={"zenoh": zenoh})
-    return machine, text
+    return MachineFile(machine, text)
 
 
 def _unfilled(text: str) -> str:

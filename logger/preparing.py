@@ -6,6 +6,7 @@ folder is lent for this run; where there is not even that, or the process fails,
 """
 
 import contextlib
+import math
 import os
 import tempfile
 import threading
@@ -14,6 +15,7 @@ from typing import Final
 
 from tilth.logger import compiling
 from tilth.logger.child import packed, words_of
+from tilth.logger.compiling import Done
 from tilth.logger.job import Job, JobEnded
 from tilth.logger.priority import COMPILING as BEHIND
 from tilth.schemas.flow import EventKind
@@ -35,11 +37,12 @@ class Preparing:
         """report: takes kind and text of an event, called from a thread."""
         self.ready = compiling.is_prepared(machine)
         self.seconds = 0.0  # of compiling
-        self.text = "" if self.ready else LOADING  # what is being done, in a person's words
+        self._doing = "" if self.ready else LOADING
         self._machine = machine
         self._report = report
-        self._done = 0.0  # share of the compiling
+        self._done = Done(0, 0, 0.0)
         self._began_s: float | None = None  # monotonic
+        self._left_s = math.inf  # as it was said last
         self._job: Job | None = None
         self._closing = False
         self._lock = threading.Lock()  # of the two before
@@ -49,11 +52,20 @@ class Preparing:
             self._thread.start()
 
     @property
+    def text(self) -> str:
+        """What is being done, in a person's words; "" where nothing is."""
+        done = self._done
+        return (
+            f"{self._doing}: {done.functions} of {done.of} done" if done.of and self._doing else self._doing
+        )
+
+    @property
     def remaining_s(self) -> float | None:
-        """About how long it still takes; None where that is not known."""
-        if self.ready or self._began_s is None or self._done < SURE:
+        """About how long it still takes, never more than was said before; None where that is not known."""
+        if self.ready or self._began_s is None or self._done.share < SURE:
             return None
-        return (time.monotonic() - self._began_s) * (1.0 / self._done - 1.0)
+        self._left_s = min(self._left_s, (time.monotonic() - self._began_s) * (1.0 / self._done.share - 1.0))
+        return self._left_s
 
     def close(self) -> None:
         with self._lock:
@@ -70,33 +82,37 @@ class Preparing:
         try:
             untrusted = compiling.untrusted()
             if untrusted:  # before anything in it is looked at
-                self._anew(untrusted)
+                self._lend()
             if not compiling.load(self._machine):
-                self._compile(anew=bool(untrusted))
+                self._compile(untrusted)
         except compiling.CompilingStopped:
             return
         except Exception as error:  # whatever it is, the fold has a guard of its own
             refused = notice(NoticeCode.KERNELS_REFUSED, why=f"{type(error).__name__}: {error}")
             self._report(EventKind.COMPILED, refused)
-        self.text, self.ready = "", True
+        self._doing, self.ready = "", True
 
-    def _compile(self, anew: bool) -> None:
+    def _compile(self, not_kept: str) -> None:
+        """not_kept: why what is compiled is not kept, or ""."""
         began_s = time.monotonic()
-        self.text = ANEW if anew else COMPILING
-        try:
-            compiling.cache_folder(self._machine)
-        except compiling.NoCacheFolder as why:
-            self._anew(str(why))
-        kept = self.text == COMPILING
-        self._report(EventKind.COMPILED, notice(NoticeCode.COMPILING if kept else NoticeCode.COMPILING_ANEW))
+        if not not_kept:
+            try:
+                compiling.cache_folder(self._machine)
+            except compiling.NoCacheFolder as why:
+                not_kept = str(why)
+                self._lend()
+        self._doing = ANEW if not_kept else COMPILING
+        if not_kept:
+            self._report(EventKind.COMPILED, notice(NoticeCode.CACHE_REFUSED, why=not_kept))
+        self._report(
+            EventKind.COMPILED, notice(NoticeCode.COMPILING_ANEW if not_kept else NoticeCode.COMPILING)
+        )
         self._compile_in_process()
         compiling.prepare(self._machine, self._progress)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
 
-    def _anew(self, why: str) -> None:
+    def _lend(self) -> None:
         """Lend a folder for this run; without one the kernels are compiled here."""
-        self.text = ANEW
-        self._report(EventKind.COMPILED, notice(NoticeCode.CACHE_REFUSED, why=why))
         folder = os.devnull  # where nothing can be kept, nor found
         with contextlib.suppress(OSError):
             folder = self._lent.enter_context(
@@ -116,14 +132,15 @@ class Preparing:
                 if why_not := self._job.not_behind:
                     self._report(EventKind.COMPILED, notice(NoticeCode.COMPILES_AT_OWN_PRIORITY, why=why_not))
                 for line in self._job.lines():
-                    self._progress(float(line))
+                    functions, of, share = line.split()
+                    self._progress(Done(int(functions), int(of), float(share)))
         except (JobEnded, ValueError) as why:
             if not self._closing:
                 self._report(EventKind.COMPILED, notice(NoticeCode.COMPILER_FAILED, why=str(why)))
 
-    def _progress(self, share: float) -> None:
+    def _progress(self, done: Done) -> None:
         if self._closing:
             raise compiling.CompilingStopped
-        if share == 0.0:
-            self._began_s = time.monotonic()
-        self._done = share
+        if not done.functions:
+            self._began_s, self._left_s = time.monotonic(), math.inf
+        self._done = done

@@ -6,7 +6,7 @@ from tilth.logger.accept_log import AcceptLog
 from tilth.logger.can.buses import Buses
 from tilth.logger.clock import Clock
 from tilth.logger.live_estimation import LiveEstimation
-from tilth.logger.log.mcap_log import software
+from tilth.logger.log.software import software
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Outlets
 from tilth.logger.run_report import RunReport

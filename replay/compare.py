@@ -1,14 +1,19 @@
-"""Compares what a replay computes with what was logged live, byte for byte."""
+"""Compares what a replay computes with what was logged live: byte for byte where the arithmetic is the same,
+else each number within its tolerance and all else equal (schemas/tolerances.py)."""
 
+import math
 from collections import deque
-from typing import Any, Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, NamedTuple
 
 from google.protobuf.message import Message as ProtoMessage
 
+from tilth.logger.log.software import computed_elsewhere
 from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import CHANNEL, CHANNELS, without_wording
 from tilth.schemas.notices import OF_FOLD, NoticeCode
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.tolerances import OF_SD, TOLERANCES, apart
 
 EVENT: Final = "/event"
 IDENTICAL: Final = frozenset(channel.topic for channel in CHANNELS if channel.identical)
@@ -17,6 +22,20 @@ COMPARED: Final = IDENTICAL | {EVENT}
 CODES: Final = frozenset(NoticeCode)
 
 _Row = tuple[int, bytes]  # t_ns, payload
+
+
+class Deviation(NamedTuple):
+    """A field whose value is not the one that was logged."""
+
+    field: str  # with the topic and the fields round it
+    was: str
+    now: str
+    amount: float = math.inf  # as tolerances.apart; infinite for what is no number
+    tolerance: float = 0.0
+
+    def __str__(self) -> str:
+        far = f", beyond the {self.tolerance:g} that another computer may differ by" if self.tolerance else ""
+        return f"{self.field} was {self.was}, is {self.now}{far}"
 
 
 class Comparison:
@@ -32,11 +51,21 @@ class Comparison:
         self.compared = 0
         self.difference = ""
         self.unverifiable = 0
+        self.elsewhere = ""  # what there was other where logs were recorded; "": nothing
+        self.to_the_byte = 0  # of those compared
+        self.largest: Deviation | None = None  # of those within their tolerance, beside that tolerance
+        self._exact = True
         self._on_track = True
         self._any_live = False  # whether a result was in the logs
         self._topics = set(COMPARED)
         self._live: dict[str, deque[_Row]] = {topic: deque() for topic in COMPARED}
         self._again: dict[str, deque[_Row]] = {topic: deque() for topic in COMPARED}
+
+    def recorded_by(self, software: Mapping[str, str]) -> None:
+        """What follows was computed by this (metadata "tilth" of its log)."""
+        other = computed_elsewhere(software)
+        self._exact = not other
+        self.elsewhere = self.elsewhere or other
 
     def logged(self, row: Logged) -> None:
         """Take a result that was logged live."""
@@ -100,47 +129,61 @@ class Comparison:
             return
         self.compared += 1
         opposite = waiting.popleft()
-        if row != opposite:
-            live, again = (row, opposite) if waiting_here is self._live else (opposite, row)
-            self.difference = _difference(topic, live, again)
+        if row == opposite:
+            self.to_the_byte += 1
+            return
+        live, again = (row, opposite) if waiting_here is self._live else (opposite, row)
+        self.difference = self._weigh(topic, live, again)
+
+    def _weigh(self, topic: str, live: _Row, again: _Row) -> str:
+        """The difference in a sentence; "" where only words for people differ, or no more than may."""
+        if live[0] != again[0]:
+            return f"{topic}: logged at {_seconds(live[0])}, computed again for {_seconds(again[0])}"
+        message = CHANNEL[topic].message
+        one, other = (without_wording(message.FromString(data)) for _, data in (live, again))
+        for found in _deviations(one, other):
+            if self._exact or not found.amount <= found.tolerance:
+                return f"{topic} at {_seconds(live[0])}: {found}"
+            least = self.largest
+            if least is None or found.amount * least.tolerance > least.amount * found.tolerance:
+                self.largest = found._replace(field=f"{topic} {found.field}")
+        same = one.SerializeToString() == other.SerializeToString()
+        if same or not self._exact:
+            return ""
+        return f"{topic} at {_seconds(live[0])}: same values in other bytes"
 
 
 def _of_fold(event: bytes) -> bool:
     return pb.Event.FromString(event).notice.code in OF_FOLD
 
 
-def _difference(topic: str, live: _Row, again: _Row) -> str:
-    """In a sentence; "" where only words for people differ."""
-    if live[0] != again[0]:
-        return f"{topic}: logged at {_seconds(live[0])}, computed again for {_seconds(again[0])}"
-    message = CHANNEL[topic].message
-    one, other = (without_wording(message.FromString(data)) for _, data in (live, again))
-    if one.SerializeToString() == other.SerializeToString():
-        return ""
-    return f"{topic} at {_seconds(live[0])}: {_first_field(one, other) or 'same values in other bytes'}"
-
-
-def _first_field(live: ProtoMessage, again: ProtoMessage, within: str = "") -> str:
-    """The first field that differs, with both values."""
+def _deviations(live: ProtoMessage, again: ProtoMessage, within: str = "") -> Iterator[Deviation]:
+    """The fields that differ, also of the messages within."""
     for field in live.DESCRIPTOR.fields:
         a, b = getattr(live, field.name), getattr(again, field.name)
-        if _present(live, field) == _present(again, field) and a == b:
+        alike = _present(live, field) == _present(again, field)
+        if alike and a == b:
             continue
         name = within + field.name
-        if isinstance(a, ProtoMessage):
-            return _first_field(a, b, name + ".")
         if field.is_repeated and len(a) == len(b):
-            return _first_item(a, b, name)
-        return f"{name} was {_formatted(live, field, a)}, is {_formatted(again, field, b)}"
-    return ""
+            for index, (x, y) in enumerate(zip(a, b, strict=True)):
+                if x != y:
+                    yield from _values(live, field, f"{name}[{index}]", x, y)
+        elif alike and not field.is_repeated:
+            yield from _values(live, field, name, a, b)
+        else:
+            yield Deviation(name, _formatted(live, field, a), _formatted(again, field, b))
 
 
-def _first_item(live: Any, again: Any, name: str) -> str:
-    index = next(i for i, (a, b) in enumerate(zip(live, again, strict=True)) if a != b)
-    a, b = live[index], again[index]
-    if isinstance(a, ProtoMessage):
-        return _first_field(a, b, f"{name}[{index}].")
-    return f"{name}[{index}] was {a!r}, is {b!r}"
+def _values(message: ProtoMessage, field: Any, name: str, live: Any, again: Any) -> Iterator[Deviation]:
+    if isinstance(live, ProtoMessage):
+        yield from _deviations(live, again, name + ".")
+    elif isinstance(live, float):
+        tolerance = TOLERANCES.get(field.containing_type.name, {}).get(field.name, 0.0)
+        sd = getattr(message, "sd", None) if tolerance == OF_SD else None
+        yield Deviation(name, repr(live), repr(again), apart(live, again, sd), tolerance)
+    else:
+        yield Deviation(name, repr(live), repr(again))
 
 
 def _present(message: ProtoMessage, field: Any) -> bool:
@@ -150,7 +193,9 @@ def _present(message: ProtoMessage, field: Any) -> bool:
 def _formatted(message: ProtoMessage, field: Any, value: Any) -> str:
     if not _present(message, field):
         return "absent"
-    return f"{len(value)} long" if field.is_repeated else repr(value)
+    if field.is_repeated:
+        return f"{len(value)} long"
+    return "there" if isinstance(value, ProtoMessage) else repr(value)
 
 
 def _seconds(t_ns: int) -> str:

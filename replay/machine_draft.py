@@ -23,19 +23,30 @@ name = {FILL_IN}: a name in quotes; letters, digits, - and _
 a = {FILL_IN}: to the front axle, m
 b = {FILL_IN}: to the rear axle, m
 c = {FILL_IN}: to the hitch, behind, m
-mass = {FILL_IN}: kg, as driven, with ballast
+mass = {FILL_IN}: kg, as driven, with ballast that has no entry of its own
 yaw_inertia = {FILL_IN}: kg m^2
 cg_height = {FILL_IN}: above the ground, m
 # hitch_height = 0.5                # of drawbar or ball above the ground, m
 # pivot_height = 0.7                # of the pin on which the front axle swings, above the ground, m
 # suspended_front_axle = true       # where it has springs
+# front_axle_mass = 650             # of the front axle with its wheels, kg
+# [[tractor.ballast]]               # once for each: what mass, CG and yaw_inertia above are without
+# mass = 600                        # kg
+# ahead_of_axle = 4.1               # its middle ahead of the rear axle, behind it negative, m
+# height = 0.9                      # above the ground, m
 
 [implement]
 d = {FILL_IN}: hitch to its CG, m
 e = {FILL_IN}: CG to the axle, behind, m
-mass = {FILL_IN}: kg, as loaded
+mass = {FILL_IN}: kg, as loaded, but for what has an entry of its own
 yaw_inertia = {FILL_IN}: kg m^2
 cg_height = {FILL_IN}: above the ground, m
+# [[implement.ballast]]             # such as what is in a tank
+# mass = {{ value = 6000, sd = 300 }} # kg
+# ahead_of_axle = 0.3               # its middle ahead of the implement's axle, m
+# height = 1.6                      # above the ground, m
+# length = 3.5                      # how long it is, m, and
+# width = 2.0                       # how wide
 
 # Priors of whole axles: these are of a 150 kW tractor with a grain cart. Their size has to be right, no more.
 # Take off the # of the lines below them and give your own: they tell how far the rig leans in a turn, without

@@ -15,9 +15,9 @@ from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import ReplayedFits
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.log.mcap_log import LogWriter, machine_sha256
+from tilth.logger.log.mcap_log import LogWriter
 from tilth.replay.compare import COMPARED, Comparison
-from tilth.replay.readers.any_log import open_log, place
+from tilth.replay.readers.any_log import metadata, open_log, place
 from tilth.replay.readers.log import EmptyLog, Gap, Logged, OpenLog, RunPlace
 from tilth.replay.readers.rig import Say, on_buses_of
 from tilth.schemas.channels import (
@@ -29,7 +29,7 @@ from tilth.schemas.channels import (
     payload,
 )
 from tilth.schemas.flow import Accepted, Estimate, Event, EventKind, Frame, Origin, Pose, Publication
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
@@ -113,8 +113,7 @@ class Pace:
 
 def replay(
     paths: Sequence[Path],
-    machine: Machine,
-    machine_text: str,
+    machine_file: MachineFile,
     *,
     buses: Mapping[str, str] | None = None,
     outputs: ReplayOutputs | None = None,
@@ -129,7 +128,7 @@ def replay(
     `buses` maps names of the logs to names of the machine file. `say` takes sentences for the user.
     Raises LogError; EmptyLog only if no log has a frame. OSError where a file cannot be read or written.
     """
-    run = _Run(machine, machine_text, outputs or ReplayOutputs(), say)
+    run = _Run(machine_file, outputs or ReplayOutputs(), say)
     empty: EmptyLog | None = None
     for path in paths:
         try:
@@ -148,10 +147,10 @@ def replay(
 class _Run:
     """The fold and what has come of it so far."""
 
-    def __init__(self, machine: Machine, machine_text: str, outputs: ReplayOutputs, say: Say) -> None:
+    def __init__(self, machine_file: MachineFile, outputs: ReplayOutputs, say: Say) -> None:
         self.summary = ReplaySummary()
-        self._machine = machine
-        self._sha256 = machine_sha256(machine, machine_text)
+        self._machine = machine = machine_file.machine
+        self._sha256 = machine_file.sha256
         self._outputs = outputs
         self._say = say
         self._read_bytes = 0
@@ -169,8 +168,11 @@ class _Run:
         self._unknown_before = self._unknown_now()
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
-        log = open_log(path, WITH_RESULTS if self._outputs.comparison else INPUTS)
+        comparison = self._outputs.comparison
+        log = open_log(path, WITH_RESULTS if comparison else INPUTS)
         try:
+            if comparison is not None:
+                comparison.recorded_by(metadata(log).get("tilth", {}))
             self._follow(log)
             self._records(log, buses)
         finally:

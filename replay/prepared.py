@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from tilth.logger.log.derived import Derived
-from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
+from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.software import software
 from tilth.replay.catalogue import CatalogueRun, has_results
 from tilth.replay.kept_room import room_for
 from tilth.replay.offline import ReplayOutputs, replay
@@ -24,6 +25,7 @@ from tilth.replay.recorded import Progress, RecordedRun
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, MachineError, Zenoh
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable
 
 MOST_BYTES: Final = 10e9  # of all that is kept
@@ -43,12 +45,12 @@ class OpenedRun:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """How runs are opened. given: a machine file and its text, for logs without one. kept: the folder of the
+    """How runs are opened. given: a machine file, for logs without one. kept: the folder of the
     logs that a replay gave. buses: as of replay. prefix: of the keys on which they are published."""
 
     kept: Path
     prefix: str
-    given: tuple[Machine, str] | None = None
+    given: MachineFile | None = None
     buses: tuple[str, ...] = ()
     say: Say = lambda text: None
 
@@ -58,13 +60,12 @@ class Opening:
         if has_results(run.paths):
             return None
         _check_content(run.paths)
-        machine, text = self.given or machine_in(run.paths)
-        return prepared_path(self.kept, run.paths, machine, text)
+        return prepared_path(self.kept, run.paths, self.given or machine_in(run.paths))
 
     def machine(self, run: CatalogueRun) -> Machine:
         """Raises LogError where it has none and none was given, MachineError."""
-        machine, _ = self.given or machine_in(run.paths, plausible=False)
-        return machine.model_copy(update={"zenoh": Zenoh(prefix=self.prefix)})
+        found = self.given or machine_in(run.paths, plausible=False)
+        return found.machine.model_copy(update={"zenoh": Zenoh(prefix=self.prefix)})
 
     def open(self, run: CatalogueRun, progress: Callable[[str, float], None]) -> OpenedRun:
         """progress takes a text and the share that is done; what it raises ends this. Raises LogError,
@@ -83,17 +84,17 @@ class Opening:
         return OpenedRun(run.name, recorded, self.machine(run))
 
     def _prepare(self, run: CatalogueRun, target: Path, progress: Progress) -> None:
-        machine, text = self.given or machine_in(run.paths)
+        found = self.given or machine_in(run.paths)
         try:
-            buses = bus_names(self.buses, machine)
+            buses = bus_names(self.buses, found.machine)
         except MachineError as error:
             raise ForeignLog(str(error)) from None
-        prepare(run.paths, machine, text, target, progress, buses=buses, say=self.say)
+        prepare(run.paths, found, target, progress, buses=buses, say=self.say)
 
 
-def prepared_path(folder: Path, paths: Sequence[Path], machine: Machine, text: str) -> Path:
+def prepared_path(folder: Path, paths: Sequence[Path], machine_file: MachineFile) -> Path:
     """Where the results of these logs are kept, whether they are there or not. Raises OSError."""
-    known = hashlib.sha256(f"{software()['version']} {machine_sha256(machine, text)}".encode())
+    known = hashlib.sha256(f"{software()['version']} {machine_file.sha256}".encode())
     for path in paths:
         stat = path.stat()
         known.update(f"\n{readable(path.resolve())} {stat.st_size} {stat.st_mtime_ns}".encode())
@@ -102,8 +103,7 @@ def prepared_path(folder: Path, paths: Sequence[Path], machine: Machine, text: s
 
 def prepare(
     paths: Sequence[Path],
-    machine: Machine,
-    text: str,
+    machine_file: MachineFile,
     target: Path,
     progress: Progress = lambda share: None,
     *,
@@ -118,16 +118,16 @@ def prepare(
     unfinished = target.with_suffix(f".{os.getpid()}.part")
     unfinished.unlink(missing_ok=True)
     size = sum(path.stat().st_size for path in paths)
-    kept = Derived(target.parent, _OURS, MOST_BYTES, machine.log.keep_free_megabytes * 1e6)
+    kept = Derived(target.parent, _OURS, MOST_BYTES, machine_file.machine.log.keep_free_megabytes * 1e6)
     room = room_for(kept, paths)
     try:
         run = RunPart(readable(target.stem), 1, _first_ns(paths), simulated=simulated_by(paths))
-        writer = LogWriter(unfinished, machine, text, run)
+        writer = LogWriter(unfinished, machine_file, run)
         try:
             outputs = ReplayOutputs(
                 writer, progress=lambda done: progress(min(room(done) / max(size, 1), 1.0))
             )
-            summary = replay(paths, machine, text, buses=buses, outputs=outputs, say=say)
+            summary = replay(paths, machine_file, buses=buses, outputs=outputs, say=say)
         finally:
             writer.close()
         if not summary.poses:

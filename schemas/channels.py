@@ -6,6 +6,7 @@ all come from it.
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
+from itertools import zip_longest
 from typing import Any
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -124,8 +125,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         message.of_place.CopyFrom(pb.SoilPlace(**asdict(estimate.of_place)))
     if estimate.condition is not None:
         message.condition = estimate.condition
-    per_mass = (*estimate.per_mass, *(None,) * (len(flow.PARAMETERS) - len(estimate.per_mass)))
-    for name, parameter, ratio in zip(flow.PARAMETERS, estimate.parameters, per_mass, strict=True):
+    over_mass = zip_longest(flow.PARAMETERS, estimate.parameters, estimate.per_mass, estimate.per_mass_sd)
+    for name, parameter, ratio, ratio_sd in over_mass:
         row = message.parameters.add(
             name=name, status=int(parameter.status), reason=sentence(parameter.reason)
         )
@@ -134,6 +135,8 @@ def _encode_estimate(estimate: flow.Estimate) -> bytes:
         _set_present(row, parameter, ("value", "sd", "age_s"))
         if ratio is not None:
             row.per_mass = ratio
+        if ratio_sd is not None:
+            row.per_mass_sd = ratio_sd
     for name, (value, sd) in estimate.nuisances.items():
         message.nuisances.add(name=name, value=value, sd=sd)
     for name, amount in estimate.excitation.items():
@@ -305,41 +308,6 @@ CHANNELS: tuple[Channel, ...] = (
         logged=False,
     ),
 )
-
-# How far a field may differ between two kinds of machine, in its own unit: linear algebra libraries round
-# differently. On one machine with one lock file the bytes are equal.
-TOLERANCES: dict[str, dict[str, float]] = {
-    "Measurement": {
-        "sd": 1e-12, "latitude_deg": 1e-12, "longitude_deg": 1e-12, "altitude_m": 1e-9, "course": 1e-12,
-        "speed": 1e-12, "heading": 1e-12, "yaw_rate": 1e-12, "roll": 1e-12, "pitch": 1e-12, "hdop": 1e-12,
-        "angle": 1e-12, "curvature": 1e-12,
-    },
-    "Pose": {
-        "origin_latitude_deg": 1e-12, "origin_longitude_deg": 1e-12, "articulation": 1e-7,
-        "sd_articulation": 1e-7, "wheel_angle": 1e-9, "sd_wheel_angle": 1e-9,
-        "sd_time": 1e-7,
-    },
-    "BodyPose": {
-        "x": 1e-6, "y": 1e-6, "sd_position": 1e-6, "heading": 1e-7, "sd_heading": 1e-7,
-        "forward_velocity": 1e-6, "lateral_velocity": 1e-6, "sd_velocity": 1e-6, "sd_lateral_velocity": 1e-6,
-        "yaw_rate": 1e-9, "sd_yaw_rate": 1e-9, "roll": 1e-9, "sd_roll": 1e-9,
-    },
-    "Vector3": {"x": 1e-6, "y": 1e-6, "z": 1e-9},
-    "Quaternion": {"x": 1e-7, "y": 1e-7, "z": 1e-7, "w": 1e-7},
-    "SoilTireEstimate": {"log_covariance": 1e-7, "condition": 1e-3, "window_s": 1e-6, "bound": 1e-4},
-    "Parameter": {"value": 1.0, "sd": 1.0, "age_s": 1e-6, "per_mass": 1e-4},
-    "Nuisance": {"value": 1e-7, "sd": 1e-7},
-    "Excitation": {"value": 1e-6},
-    "Reason": {"numbers": 1e-3},
-    "Advice": {
-        "log_sds": 1e-4, "speed": 1e-6, "seconds": 1e-6, "degrees": 1e-6, "after": 1e-4, "turn_after": 1e-4,
-    },
-    "SoilPlace": {
-        "latitude_deg": 1e-12, "longitude_deg": 1e-12, "radius_m": 1e-3, "this_pass": 1e-4,
-        "neighbours": 1e-4, "prior": 1e-4,
-    },
-    "Combination": {"exponents": 1e-6, "log_sd": 1e-4},
-}  # fmt: skip
 
 WORDING: dict[str, tuple[str, ...]] = {
     "Parameter": ("reason",), "SoilTireEstimate": ("rule", "determined", "advice"), "Event": ("text",),

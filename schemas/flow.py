@@ -387,6 +387,7 @@ class Estimate:
     parameters: tuple[ParameterEstimate, ...]  # in the order of PARAMETERS
     log_covariance: tuple[float, ...]  # 6 x 6, natural logarithms, row by row; empty where there is none
     per_mass: tuple[float | None, ...]  # C_af/m_t, C_ar/m_t, C_ai/m_i, 1/(rad) m/s^2
+    per_mass_sd: tuple[float | None, ...] = ()  # of each, without what is not known of the masses
     nuisances: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # name -> value, sd (SI)
     rank: int = 0  # of what the data determine among the parameters estimated
     condition: float | None = None

@@ -8,11 +8,13 @@ the key, the value, what is allowed and the nearest right key. schemas/machine_t
 import string
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from tilth.schemas.bus_name import BUS_NAME
 from tilth.schemas.flow import Mount
 from tilth.schemas.log_settings import Log
+from tilth.schemas.quantity import Exact, Inertia, Length, Placed, Taped, Weighed, quantity
+from tilth.schemas.quantity import Quantity as Quantity
 from tilth.schemas.section import Section as _Section
 from tilth.schemas.tyre_size import tyre_size
 
@@ -21,38 +23,21 @@ class MachineError(Exception):
     """The machine file is wrong; the text says where and what to do."""
 
 
-class Quantity(BaseModel):
-    """A number with its standard deviation, both in the unit of the key."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-    value: float
-    sd: float = Field(default=0.0, ge=0.0)
-
-
-def _quantity(default_sd: float = 0.0, default_share: float = 0.0) -> BeforeValidator:
-    """A number alone has the default sd, or that share of it."""
-
-    def widen(raw: Any) -> Any:
-        if isinstance(raw, (int, float)) and not isinstance(raw, bool):
-            return {"value": raw, "sd": default_sd + default_share * abs(raw)}
-        if not isinstance(raw, (dict, Quantity)):
-            raise ValueError("give a number without a unit, or { value = …, sd = … }")
-        return raw
-
-    return BeforeValidator(widen, json_schema_input_type=float | Quantity)
-
-
-Exact = Annotated[Quantity, _quantity()]
-Length = Annotated[Quantity, _quantity()]
-Inertia = Annotated[Quantity, _quantity(default_share=0.05)]
-"""Nobody weighs an inertia: a number alone is taken to 5 %."""
-Taped = Annotated[Quantity, _quantity(0.02)]
-"""Between the CGs, the hitch and the implement's axle, as for where a receiver is: a number alone is taken to
-2 cm. In sharp turns 5 cm do what half of the implement tyres' stiffness does."""
-
-
 class MachineName(_Section):
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="part of every Zenoh key")
+
+
+class Ballast(_Section):
+    """A mass that its body's own mass, CG and inertia are without: weights, or what is in a tank."""
+
+    mass: Weighed = Field(description="kg; a number alone is taken to 2 %")
+    ahead_of_axle: Placed = Field(
+        description="its middle ahead of the tractor's rear axle, or of the implement's axle, m; behind it "
+        "negative; a number alone is taken to 5 cm"
+    )
+    height: Placed = Field(description="of its middle above the ground, m; a number alone is taken to 5 cm")
+    length: float = Field(default=0.0, ge=0, description="how long it is fore and aft, m")
+    width: float = Field(default=0.0, ge=0, description="how wide it is, m")
 
 
 class Tractor(_Section):
@@ -61,7 +46,7 @@ class Tractor(_Section):
     a: Length = Field(description="CG to the front axle, m")
     b: Length = Field(description="CG to the rear axle, m")
     c: Taped = Field(description="CG to the hitch, behind, m; a number alone is taken to 2 cm")
-    mass: Exact = Field(description="kg")
+    mass: Exact = Field(description="kg, without its ballast")
     yaw_inertia: Inertia = Field(description="kg m^2; a number alone is taken to 5 %")
     cg_height: Length = Field(description="above ground, m")
     cg_sd: float = Field(
@@ -78,20 +63,24 @@ class Tractor(_Section):
     kingpin_distance: float | None = Field(
         default=None, gt=0, description="between the kingpins, m; needed where the sensor sits on one of them"
     )
-    ackermann: Annotated[Quantity, _quantity(0.1)] = Field(
+    ackermann: Annotated[Quantity, quantity(0.1)] = Field(
         default=Quantity(value=0.8, sd=0.3),
         description="how far the front wheels turn towards one centre: 1 as by Ackermann, 0 by equal angles",
     )
-    hitch_height: Annotated[Quantity, _quantity(0.03)] | None = Field(
+    hitch_height: Annotated[Quantity, quantity(0.03)] | None = Field(
         default=None, description="of drawbar or ball, where the implement pulls, above the ground, m"
     )
-    pivot_height: Annotated[Quantity, _quantity(0.03)] | None = Field(
+    pivot_height: Annotated[Quantity, quantity(0.03)] | None = Field(
         default=None, description="of the pin on which the front axle swings, above the ground, m"
     )
     suspended_front_axle: bool = Field(
         default=False, description="true where the front axle has springs: its pin and tilt are less certain"
     )
-    wheel_speed_factor: Annotated[Quantity, _quantity(0.005)] | None = Field(
+    front_axle_mass: Annotated[Quantity, quantity(default_share=0.1)] | None = Field(
+        default=None, description="of the front axle with its wheels, kg: it does not roll with the tractor"
+    )
+    ballast: list[Ballast] = Field(default=[], description="what mass, CG and yaw_inertia are without")
+    wheel_speed_factor: Annotated[Quantity, quantity(0.005)] | None = Field(
         default=None,
         description="wheel-based speed (PGN 65096) over ground speed at no slip; other tyres change it",
     )
@@ -114,7 +103,7 @@ class Implement(_Section):
 
     d: Taped = Field(description="hitch to its CG, m; a number alone is taken to 2 cm")
     e: Taped = Field(description="CG to the axle, behind, m; a number alone is taken to 2 cm")
-    mass: Exact = Field(description="kg")
+    mass: Exact = Field(description="kg, without its ballast")
     yaw_inertia: Inertia = Field(description="kg m^2; a number alone is taken to 5 %")
     cg_height: Length = Field(description="above ground, m")
     cg_sd: float = Field(
@@ -128,6 +117,7 @@ class Implement(_Section):
         ge=0,
         description="of how far forward the middle of its receivers is, m; else it follows from survey_sd",
     )
+    ballast: list[Ballast] = Field(default=[], description="what mass, CG and yaw_inertia are without")
 
 
 class Tyre(_Section):
@@ -142,7 +132,7 @@ class Tyre(_Section):
     dual_track: Taped | None = Field(
         default=None, description="the same of the outer tyres of dual wheels, m; needs track"
     )
-    deflection: Annotated[Quantity, _quantity(default_share=0.15)] | None = Field(
+    deflection: Annotated[Quantity, quantity(default_share=0.15)] | None = Field(
         default=None,
         description="by how much the load presses the tyres in, m: free radius less the height of the hub",
     )
@@ -220,7 +210,7 @@ class Receiver(_Section):
     yaw_rate_sd: float = Field(default=0.3, gt=0, description="deg/s")
     heading_sd: float = Field(default=0.5, gt=0, description="of a heading the receiver reports, deg")
     roll_sd: float = Field(default=0.5, gt=0, description="deg")
-    roll_zero: Annotated[Quantity, _quantity()] | None = Field(
+    roll_zero: Annotated[Quantity, quantity()] | None = Field(
         default=None, description="what it reports when level, after roll_sign, deg; none: 0, sd 0.57"
     )
     roll_sign: Literal[1, -1] = Field(
@@ -230,7 +220,7 @@ class Receiver(_Section):
     roll_corrected: bool = Field(
         default=False, description="true where the receiver already reports the point on the ground below it"
     )
-    latency: Annotated[Quantity, _quantity(0.05)] = Field(
+    latency: Annotated[Quantity, quantity(0.05)] = Field(
         default=Quantity(value=0.1, sd=0.05), description="from measurement to first frame, s"
     )
 
@@ -280,14 +270,14 @@ class WheelAngle(_Section):
     kingpin: Literal["mean", "left", "right"] = Field(
         default="mean", description="which wheel carries the sensor"
     )
-    curve: Annotated[Quantity, _quantity()] = Field(
+    curve: Annotated[Quantity, quantity()] = Field(
         default=Quantity(value=0.0),
         description="curvature of its linkage, 1/rad: of a reading x less zero the wheel has x + curve x^2",
     )
-    zero: Annotated[Quantity, _quantity(0.5)] = Field(
+    zero: Annotated[Quantity, quantity(0.5)] = Field(
         default=Quantity(value=0.0, sd=0.5), description="the reading when straight, after sign, deg"
     )
-    gain: Annotated[Quantity, _quantity(0.02)] = Field(
+    gain: Annotated[Quantity, quantity(0.02)] = Field(
         default=Quantity(value=1.0, sd=0.02),
         description="the reading over the true angle; not applied: where its estimate begins",
     )
@@ -395,6 +385,12 @@ class Machine(_Section):
                 value = getattr(getattr(self, body), key).value
                 if value <= 0:
                     raise ValueError(f"{body}.{key} = {value:g}: must be above zero")
+            for number, ballast in enumerate(getattr(self, body).ballast, 1):
+                if (value := ballast.mass.value) < 0:
+                    raise ValueError(
+                        f"{body}.ballast[{number}].mass = {value:g} kg: a mass is not below zero; what was "
+                        f"taken off is left out, or taken off {body}.mass"
+                    )
 
     def _receivers_apart(self) -> None:
         identities = [(r.bus, r.name, r.source) for r in self.receiver]

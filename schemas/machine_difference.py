@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from tilth.schemas.ballast import as_told
 from tilth.schemas.machine import Machine
 
 TOLD: Final = 4  # keys; who needs more compares the files
@@ -10,7 +11,7 @@ TOLD: Final = 4  # keys; who needs more compares the files
 
 def differing_keys(one: Machine, other: Machine) -> tuple[str, ...]:
     """Such as tractor.a and receiver[1].source, as the files name them, in their order."""
-    first, second = (dict(_flat(machine.model_dump(), "")) for machine in (one, other))
+    first, second = (dict(_flat(as_told(machine).model_dump(), "")) for machine in (one, other))
     return tuple(key for key in {**first, **second} if first.get(key) != second.get(key))
 
 

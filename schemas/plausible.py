@@ -9,8 +9,9 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from tilth.schemas.axle_loads import axle_loads
+from tilth.schemas.ballast import as_told
 from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, meant, spread_judged, with_unit
-from tilth.schemas.machine import Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
+from tilth.schemas.machine import Ballast, Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
 from tilth.schemas.plausible_wheel import wheel_doubts
 from tilth.schemas.tyre_size import tyre_size, upright_stiffness
 
@@ -21,14 +22,22 @@ GYRATION: Final = {  # radius of gyration over wheelbase, or over hitch to axle:
     "tractor": ((0.15, 1.3), (0.3, 0.9)),
     "implement": ((0.08, 3.0), (0.15, 1.5)),  # of a boom sprayer several times its length
 }
+BODIES: Final = ("tractor", "implement")
 LIGHT_FRONT: Final = 0.1  # share of the tractor's weight
 SHORTEST: Final = 0.3  # hitch to the implement's axle, m
+MOST_BALLAST: Final = {  # over the mass of the body without it: possible, usual
+    "tractor": (1.0, 0.5),
+    "implement": (20.0, 6.0),  # of a tanker or a cart that is full
+}
+HEAVY_AXLE: Final = (0.02, 0.2), (0.04, 0.13)  # front axle over the tractor's mass: possible, usual
 SIDE_BY_SIDE: Final = 0.3  # m: receivers may stand so far in a wrong order
 
 
 def doubts(machine: Machine) -> list[Doubt]:
-    """All impossible and rare values; the impossible ones first."""
-    found = [*_values(machine), *_rig(machine), *_receivers(machine), *wheel_doubts(machine)]
+    """All impossible and rare values; the impossible ones first. Ballast is counted in, as `parse_machine`
+    does; of single values those of the file are judged."""
+    told = as_told(machine)
+    found = [*_values(told), *_rig(told, machine), *_receivers(told), *wheel_doubts(told)]
     return sorted(found, key=lambda doubt: not doubt.refused)
 
 
@@ -55,6 +64,7 @@ def _values(machine: Machine) -> Iterator[Doubt]:
         ("wheel_angle.{}", "wheel_angle", machine.wheel_angle),
         *((f"tyres.{axle}.{{}}", "tyres", tyre) for axle, tyre in _tyres(machine)),
         *((f"receiver {r.mount}: {{}}", "receiver", r) for r in machine.receiver),
+        *((f"{name}.{{}}", "ballast", each) for _, name, each in _ballast(machine)),
     ]
     for name, kind, section in sections:
         for key in LIMITS:
@@ -77,11 +87,21 @@ def _tyres(machine: Machine) -> list[tuple[str, Tyre]]:
     return [(axle, getattr(machine.tyres, axle)) for axle in ("front", "rear", "implement")]
 
 
+def _ballast(machine: Machine) -> list[tuple[str, str, Ballast]]:
+    """Of each: its body, and its name in the file."""
+    return [
+        (body, f"{body}.ballast[{number}]", each)
+        for body in BODIES
+        for number, each in enumerate(getattr(machine, body).ballast, 1)
+    ]
+
+
 # Against each other. What is impossible by itself has been said, and says nothing of what stands beside it.
 
 
-def _rig(machine: Machine) -> Iterator[Doubt]:
-    tractor, implement = machine.tractor, machine.implement
+def _rig(told: Machine, driven: Machine) -> Iterator[Doubt]:
+    """told: as in the file, driven: with ballast counted in."""
+    tractor, implement = told.tractor, told.implement
     if not _possible("tractor", tractor, "abc") or not _possible("implement", implement, "de"):
         return
     wheelbase, towed = tractor.wheelbase, implement.d.value + implement.e.value
@@ -99,7 +119,8 @@ def _rig(machine: Machine) -> Iterator[Doubt]:
     if _possible("implement", implement, ("mass", "yaw_inertia")):
         yield from _gyration("implement", implement, towed, "the length from hitch to axle")
     if _possible("tractor", tractor, ("mass",)) and _possible("implement", implement, ("mass",)):
-        yield from _standing(machine)
+        yield from _carried(told, driven)
+        yield from _standing(driven)
 
 
 def _possible(kind: str, section: Tractor | Implement, keys: Iterable[str]) -> bool:
@@ -134,6 +155,41 @@ def _allowed(refused: bool, possible: tuple[float, float], usual: tuple[float, f
     return f"must be {low:g} to {high:g}" if refused else f"{low:g} to {high:g} is usual"
 
 
+def _carried(told: Machine, driven: Machine) -> Iterator[Doubt]:
+    """Ballast: where it is, how much it is, and what the bodies weigh with it; the front axle's mass."""
+    tractor, implement = told.tractor, told.implement
+    behind = tractor.c.value - tractor.b.value
+    reach = {
+        "tractor": _place(-behind, 3.0, 1.5, tractor.wheelbase, 4.0, 2.0),
+        "implement": _place(0.0, 10.0, 4.0, implement.d.value + implement.e.value, 1.0, 0.5),
+    }
+    for body, name, each in _ballast(told):
+        row, ahead = reach[body], each.ahead_of_axle.value
+        if not row.usual[0] <= ahead <= row.usual[1]:
+            yield doubt_of(f"{name}.ahead_of_axle", ahead, row)
+    for body in BODIES:
+        bare, whole = getattr(told, body).mass.value, getattr(driven, body).mass.value
+        (most, usual), more = MOST_BALLAST[body], whole - bare
+        if more > usual * bare:
+            refused = more > most * bare
+            text = f"{body}.ballast: {more:g} kg in all, to {body}.mass = {bare:g} kg, which is without it; "
+            wanted = f"at most {most if refused else usual:g} times that mass"
+            yield Doubt(text + (f"must be {wanted}" if refused else f"rare, {wanted} is usual"), refused)
+        for key in ("mass", "cg_height") if more else ():
+            value = getattr(getattr(driven, body), key).value
+            if found := judged(f"{body}.{key} with its ballast", f"{body}.{key}", value):
+                yield found
+    if (axle := tractor.front_axle_mass) is not None:
+        share, (possible, common) = axle.value / tractor.mass.value, HEAVY_AXLE
+        if not common[0] <= share <= common[1]:
+            refused = not possible[0] <= share <= possible[1]
+            yield Doubt(
+                f"tractor.front_axle_mass = {axle.value:g} kg: that is {share:.2g} of the tractor's mass, "
+                + _allowed(refused, possible, common),
+                refused,
+            )
+
+
 def _standing(machine: Machine) -> Iterator[Doubt]:
     """Each axle's load, and its tyres against it."""
     tractor, implement = machine.tractor, machine.implement
@@ -143,17 +199,23 @@ def _standing(machine: Machine) -> Iterator[Doubt]:
     )  # fmt: skip
     if min(loads) <= 0.0:
         axle = ("tractor's front", "tractor's rear", "implement's")[loads.index(min(loads))]
-        yield Doubt(f"the {axle} axle would stand off the ground: check a, b, c, d, e and both masses", True)
+        text = f"the {axle} axle would stand off the ground: check a, b, c, d, e{_with_ballast(machine)}"
+        yield Doubt(text, True)
         return
     share = loads[0] / (tractor.mass.value * GRAVITY)
     if share < LIGHT_FRONT:
         text = (
             f"the tractor's front axle carries {100 * share:.0f} % of its weight: rare, it would hardly steer"
         )
-        yield Doubt(f"{text}; check a, b, c, d, e and both masses", False)
+        yield Doubt(f"{text}; check a, b, c, d, e{_with_ballast(machine)}", False)
     for (axle, tyre), load in zip(_tyres(machine), loads, strict=True):
         yield from _stiffness(axle, tyre.cornering_stiffness, load)
         yield from _pressed_in(axle, tyre, load)
+
+
+def _with_ballast(machine: Machine) -> str:
+    """What loads follow from besides lengths, for a sentence."""
+    return ", masses and ballast" if _ballast(machine) else " and both masses"
 
 
 def _stiffness(axle: str, stiffness: float, load: float) -> Iterator[Doubt]:

@@ -1,4 +1,4 @@
-"""Writes a standard deviation for people: as the range that holds 95 %.
+"""Writes a number for people: in the unit they use, with its standard deviation as the range that holds 95 %.
 
 Messages and JSON carry standard deviations, under names that say so.
 """
@@ -54,6 +54,23 @@ def of_logarithm(value: float, sd: float, unit: str = "", bare: bool = False) ->
         return plus_minus(value, sd, unit, bare)
     ends = " … ".join(_number(end, half) for end in interval(value, sd / value))
     return _said(f"{_number(value, half)} ({ends})", unit, bare)
+
+
+def unit_of(parameter: str) -> str:
+    """Of one of flow.PARAMETERS, for people; messages, JSON and exports have N/rad."""
+    return "kN/rad" if parameter.startswith("C_") else "m"
+
+
+def scale_of(parameter: str) -> float:
+    """From N/rad or m to `unit_of`."""
+    return 1e-3 if parameter.startswith("C_") else 1.0
+
+
+def of_parameter(parameter: str, value: float, sd: float, bare: bool = False) -> str:
+    """One of flow.PARAMETERS in N/rad or m, such as: 220 ± 20 kN/rad (95 %). bare: of a table whose head says
+    unit and 95 %."""
+    scale = scale_of(parameter)
+    return of_logarithm(scale * value, scale * sd, "" if bare else unit_of(parameter), bare)
 
 
 def _share(log_sd: float) -> str:

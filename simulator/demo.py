@@ -27,10 +27,10 @@ from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.replay.estimates_json import estimates_and_nuisances
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import sentence
-from tilth.schemas.spread import interval
+from tilth.schemas.spread import interval, scale_of, unit_of
 from tilth.simulator.scenario import Ground, RollSensor, Scenario, Soil, as_json
 from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import draw
@@ -112,8 +112,7 @@ def run_demo(
         if watch is not None:
             watch(endpoint)
         summary = run_daemon(
-            machine,
-            text,
+            MachineFile(machine, text),
             log_folder=log_folder,
             simulated="tilth demo",
             status=timed,
@@ -279,8 +278,8 @@ _COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (
 
 
 def _cells(row: TruthAndEstimate) -> tuple[str, ...]:
-    unit, scale, digits = ("kN/rad", 1e-3, 0) if row.name.startswith("C_") else ("m", 1.0, 2)
-    start = (f"{row.name}, {unit}", f"{row.truth * scale:.{digits}f}")
+    scale, digits = scale_of(row.name), 0 if row.name.startswith("C_") else 2
+    start = (f"{row.name}, {unit_of(row.name)}", f"{row.truth * scale:.{digits}f}")
     status = "unestimated" if row.estimate is None else row.estimate.status.name.lower()
     if row.estimate is None or row.interval is None or row.estimate.value is None:
         return *start, "", "", "", status

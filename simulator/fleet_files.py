@@ -7,6 +7,7 @@ and pin to 1 cm, and how far the tyres give way, to 10 %. What he has written is
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
@@ -40,17 +41,23 @@ def true_machine(rig: FleetRig, first_name: int = STAR_FIRE) -> Machine:
     return parse_machine(text_of(_raw(rig, first_name, np.zeros(NUMBERS), told=0.0)))
 
 
-def owners_text(rig: FleetRig, first_name: int = STAR_FIRE, *, exact: bool = False) -> str:
+def owners_text(
+    rig: FleetRig, first_name: int = STAR_FIRE, *, exact: bool = False, mass_sd: float | None = None
+) -> str:
     """The machine file as TOML. first_name: NAME of the first receiver: STAR_FIRE or NMEA_2000. exact: with
-    the true numbers, and the owner's sds."""
+    the true numbers, and the owner's sds. mass_sd: of the logarithm of the implement's mass, of an owner who
+    has not weighed it; the inertia is reckoned from it, and both sds are told."""
     rng = generator(rig.seed, noise.FLEET_FILE)
     off = np.clip(rng.standard_normal(NUMBERS), -LIMIT, LIMIT) * (not exact)
     raw = _raw(rig, first_name, off, told=1.0)
+    if mass_sd is not None:
+        _guess_the_mass(raw["implement"], rig, mass_sd, float(off[IMPLEMENT_MASS_OFF]))
     if rng.random() < DESCRIBED:
         _describe(raw, rig, off[-DESCRIBING:])
     return text_of(raw)
 
 
+IMPLEMENT_MASS_OFF: Final = 8  # which of what the owner measures it is
 DESCRIBING: Final = 9  # of them in `_describe`
 NUMBERS: Final = 11 + 3 * len(Mount) + DESCRIBING  # that the owner measures
 
@@ -105,6 +112,14 @@ def _raw(rig: FleetRig, first_name: int, off: np.ndarray, told: float) -> Raw:
             "not_available": 0x7FFF, "zero": {"value": 0.0, "sd": 0.5}, "delay": 0.01,
         },
     }  # fmt: skip
+
+
+def _guess_the_mass(implement: Raw, rig: FleetRig, sd: float, off: float) -> None:
+    """off: error in sds."""
+    factor = math.exp(sd * off)
+    for key, true in (("mass", rig.implement.mass), ("yaw_inertia", rig.implement.yaw_inertia)):
+        share = sd if key == "mass" else math.hypot(sd, INERTIA[1])
+        implement[key] = {"value": round(true * factor, 2), "sd": round(share * true * factor, 2)}
 
 
 def _describe(raw: Raw, rig: FleetRig, off: np.ndarray) -> None:

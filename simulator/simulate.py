@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import RIG_PARAMETERS
-from tilth.logger.log.mcap_log import SIMULATED, LogWriter, RunPart, software
+from tilth.logger.log.mcap_log import SIMULATED, LogWriter, RunPart
+from tilth.logger.log.software import software
 from tilth.logger.log.whole_file import whole
 from tilth.replay.simulated import TRUTH
 from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable
 from tilth.simulator.drive import drive
 from tilth.simulator.ground import AXLES, crossings
@@ -98,7 +100,7 @@ class Simulated:
 def _mcap(path: Path, source: SimulationInput) -> Writer:
     start_ns = source.scenario.utc_start_ns
     run = RunPart(f"simulated-{source.seed}", 1, start_ns, simulated="tilth simulate")
-    writer = LogWriter(path, source.machine, source.machine_text, run)
+    writer = LogWriter(path, MachineFile(source.machine, source.machine_text), run)
     metadata = {"seed": str(source.seed), "seconds": str(source.seconds), "scenario": source.scenario_text}
     writer.metadata(SIMULATED, metadata)
     return writer

@@ -23,7 +23,7 @@ FENCE = re.compile(r"^```.*?^```", re.M | re.S)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 NAMED = re.compile(r"([\w./-]+\.\w+): (\w+)")
-README_LINES = 80
+README_LINES = 95
 
 
 TOPS = {*folders(), "bench", "docs", "examples", "tests"}

@@ -44,7 +44,7 @@ ROOMS = {
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
 UNDER_ALL = {
-    "estimator": ("compiled", "driving", "kernel_digest", "once", "state_json", "tuning"),
+    "estimator": ("compiled", "driving", "kernel_digest", "kernel_store", "once", "state_json", "tuning"),
     "logger": ("clock", "back_off"),
     "simulator": ("scenario",),
 }

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import tomlkit
-from tomlkit.items import AbstractTable, Item
+from tomlkit.items import AbstractTable, Item, Table
 
 from tilth.estimator.filters.priors import PRIOR
+from tilth.schemas.ballast import as_told
 from tilth.schemas.machine import Machine, Quantity
 
 EARLIER: Final = re.compile(r"^calibrate [0-9-]+(; was [^;]*)?(; |$)")  # of a calibration before
@@ -32,10 +33,10 @@ _IMPLEMENT: Final = ("d", "pair_yaw_sd", "lever_sd")
 def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, str], when: str) -> str:
     """text: of the machine file `before`. places: mount in it -> mount of the same device after. when: date
     of the drive, for the comments. Receivers stay in the order of the text."""
-    document = tomlkit.parse(text)
+    document, before, after = tomlkit.parse(text), as_told(before), as_told(after)
     note = f"calibrate {when}"
-    _section(document["tractor"], before.tractor, after.tractor, _TRACTOR, note)
-    _section(document["implement"], before.implement, after.implement, _IMPLEMENT, note)
+    _section(_table(document, "tractor"), before.tractor, after.tractor, _TRACTOR, note)
+    _section(_table(document, "implement"), before.implement, after.implement, _IMPLEMENT, note)
     by_mount = {r.mount.value: r for r in after.receiver}
     blocks: Any = document["receiver"]
     for block, receiver in zip(blocks, before.receiver, strict=True):
@@ -48,6 +49,12 @@ def rewritten(text: str, before: Machine, after: Machine, places: Mapping[str, s
             wheel.remove(key)
     _section(wheel, before.wheel_angle, after.wheel_angle, _WHEEL, note)
     return tomlkit.dumps(document)
+
+
+def _table(document: tomlkit.TOMLDocument, name: str) -> Any:
+    """With the section's own keys: it may go on further down, as [[tractor.ballast]] behind others."""
+    parts = [part for key, part in document.body if key is not None and key.key == name]
+    return next((part for part in parts if isinstance(part, Table) and not part.is_super_table()), parts[0])
 
 
 def _section(table: Any, before: Any, after: Any, keys: tuple[str, ...], note: str) -> None:
@@ -115,6 +122,7 @@ def _words(value: Any) -> str:
 def from_to(before: Machine, after: Machine, places: Mapping[str, str]) -> dict[str, str]:
     """Name of a number -> the key of the file that holds it, with what it goes from and to. Arguments as of
     `rewritten`."""
+    before, after = as_told(before), as_told(after)
     by_mount = {r.mount.value: r for r in after.receiver}
     pairs = [(r, by_mount[places[r.mount.value]]) for r in before.receiver]
     wheel = before.wheel_angle, after.wheel_angle

@@ -176,7 +176,7 @@ def _check_same_receivers(paths: Sequence[Path]) -> None:
     seen: dict[frozenset[tuple[str, int | None, int | None]], Path] = {}
     for path in paths:
         try:
-            machine, _ = machine_in([path], plausible=False)
+            machine = machine_in([path], plausible=False).machine
         except (LogError, MachineError):
             continue
         seen.setdefault(frozenset((r.bus, r.name, r.source) for r in machine.receiver), path)

@@ -39,6 +39,7 @@ from tilth.replay.simulated import SAID, simulated_by
 from tilth.replay.wheel_by_way import find, reading_as
 from tilth.schemas.flow import WheelAngle
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import sentence
@@ -146,7 +147,7 @@ def not_by_driving() -> list[str]:
 
 
 def calibrate_logs(
-    paths: Sequence[Path], machine: Machine, text: str, buses: Mapping[str, str], say: Say,
+    paths: Sequence[Path], machine_file: MachineFile, buses: Mapping[str, str], say: Say,
     progress: Progress, *, growing: bool = False,
 ) -> Calibrated:  # fmt: skip
     """growing: as of `read`. Raises CannotCalibrate, LogError, OSError, MachineError."""
@@ -154,6 +155,7 @@ def calibrate_logs(
     def reading(done: int, of: int) -> None:
         progress("reading", READING * done / max(of, 1))
 
+    machine, text = machine_file
     heard = read(paths, machine, buses, say, reading, growing=growing)
     faults, others = list[RigFault](), list[str]()
     described = machine

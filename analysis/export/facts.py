@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from tilth.analysis.export.columns import FRAMES, ExportColumn
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
-from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.logger.log.software import software
 from tilth.schemas.readable import readable
 
 
 def facts_of(run: Run) -> dict[str, object]:
     """Plain data, the same for all files of a run. Raises OSError."""
-    text, dbc = run.machine_text, run.machine.wheel_angle.dbc_text
-    machine = {"toml": text, "sha256": machine_sha256(run.machine, text)} | ({"dbc": dbc} if dbc else {})
+    text, dbc = run.machine_file.text, run.machine.wheel_angle.dbc_text
+    machine = {"toml": text, "sha256": run.machine_file.sha256} | ({"dbc": dbc} if dbc else {})
     clock = run.reader.clock
     sources = [
         {"file": readable(path.name), "bytes": path.stat().st_size, "sha256": sha256_of(path)}

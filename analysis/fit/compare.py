@@ -14,9 +14,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc  # scipy.stats takes a second to import
 
 from tilth.analysis.fit.result import FitAnswer, JointAnswer
+from tilth.analysis.runs.nuisance_words import WORDS, nuisance_value
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import interval
 
+SAME: Final = (
+    "Both give the same numbers to the last digit: they are of one drive. That says nothing of how well a "
+    "second drive would agree."
+)
 Array = NDArray[np.float64]
 
 BEYOND: Final = 0.01
@@ -62,6 +67,7 @@ class FitComparison:
 def compare(first: FitAnswer, second: FitAnswer) -> FitComparison:
     """first, second: as result.as_json gives them. Raises NotComparable."""
     one, other = _joint(first, "first"), _joint(second, "second")
+    same = one == other
     both = [name for name in PARAMETERS if _value(one, name) and _value(other, name)]
     shared = [name for name in one["nuisances"] if name in other["nuisances"]]
     tried = len(both) + len(shared)
@@ -82,7 +88,7 @@ def compare(first: FitAnswer, second: FitAnswer) -> FitComparison:
     missing = tuple(name for name in PARAMETERS if name not in both)
     reasons = (a["parameters"][name]["reason"] for name in missing for a in (one, other))
     why = next((f" ({reason})" for reason in reasons if reason), "")
-    sentence = _sentence(parameters, nuisances, (found, len(both), p), why)
+    sentence = SAME if same else _sentence(parameters, nuisances, (found, len(both), p), why)
     told = tuple(parameters), tuple(nuisances)
     return FitComparison(*told, found, len(both), p, missing, sentence)
 
@@ -118,7 +124,12 @@ def _sentence(
         for low, high in [interval(math.exp(one.change), one.sd)]
         if one.beyond_chance
     ]
-    told += [f"{one.name} from {one.first:.3g} to {one.second:.3g}" for one in nuisances if one.beyond_chance]
+    told += [
+        f"{WORDS[one.name].words} ({one.name}) from {nuisance_value(one.name, one.first)} to "
+        f"{nuisance_value(one.name, one.second)}"
+        for one in nuisances
+        if one.beyond_chance
+    ]
     if not told and p >= BEYOND:
         return f"Nothing differs beyond chance ({spread})."
     if not told:

@@ -27,7 +27,6 @@ from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
 from tilth.estimator.methods import pem
 from tilth.estimator.pose.geometry import to_degrees, to_plane
-from tilth.logger.log.mcap_log import machine_sha256
 from tilth.schemas.machine import Machine
 
 Progress = Callable[[int, int], None]  # segments done, of all
@@ -141,7 +140,7 @@ def _nothing(runs: Sequence[Run], kinds: Sequence[str], marks: Sequence[str]) ->
 
 def check_same_rig(runs: Sequence[Run]) -> None:
     """Raises CannotFit where the runs are of different machine files."""
-    texts = {machine_sha256(run.machine, run.machine_text): run for run in runs}
+    texts = {run.machine_file.sha256: run for run in runs}
     if len(texts) > 1:
         one, other, *_ = texts.values()
         raise CannotFit(
@@ -251,6 +250,6 @@ def _end_deg(one: Wanted) -> tuple[float, float]:
 
 def _name(one: Wanted, methods: Sequence[str]) -> str:
     files = [identity(file.path) for file in one.run.files]
-    rig = machine_sha256(one.run.machine, one.run.machine_text)
+    rig = one.run.machine_file.sha256
     times = f"{one.segment.start_s!r} {one.segment.end_s!r}"
     return f"{key_of(*files, rig, times, *methods, pem.METHOD)}.fit"

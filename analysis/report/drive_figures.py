@@ -26,9 +26,9 @@ from tilth.analysis.report.figure_look import (
     plain_ticks,
     time_scale,
 )
-from tilth.analysis.report.wording import METHODS, SYMBOLS, scale_of, unit_of
+from tilth.analysis.report.wording import METHODS, SYMBOLS
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.spread import WITHIN, interval
+from tilth.schemas.spread import WITHIN, interval, scale_of, unit_of
 
 LEAST_LATERAL_OFFSET: Final = 0.25  # of a map's longer side: how narrow a map may become
 HIGHEST: Final = 4.8  # in, of a map

@@ -3,7 +3,7 @@
 from tilth.analysis.report.data import OriginFacts
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run
-from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.logger.log.software import software
 from tilth.schemas.readable import readable
 
 
@@ -18,7 +18,7 @@ def origin_of(run: Run) -> OriginFacts:
         "whole": run.whole,
         "cut": [readable(file.path.name) for file in run.files if not file.whole],
         "replayed": replayed,
-        "machine_sha256": machine_sha256(run.machine, run.machine_text),
+        "machine_sha256": run.machine_file.sha256,
         "recorded_with": {} if replayed else dict(run.software),
         "reported_with": software(),
         "simulated": bool(run.simulated),

@@ -12,7 +12,6 @@ from tilth.analysis.report.document import (
     ReportTable,
     ReportText,
 )
-from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
 from tilth.analysis.report.wording import (
     METHODS,
     NOTHING,
@@ -24,6 +23,7 @@ from tilth.analysis.report.wording import (
     parameter_text,
     seconds,
 )
+from tilth.analysis.runs.nuisance_words import WORDS, nuisance_text
 from tilth.schemas.flow import PARAMETERS, EventKind
 
 RECOMMENDED: Final = "recommended"

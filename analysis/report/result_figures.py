@@ -22,9 +22,9 @@ from tilth.analysis.report.figure_look import (
     panels,
     plain_ticks,
 )
-from tilth.analysis.report.wording import SYMBOLS, scale_of, unit_of
+from tilth.analysis.report.wording import SYMBOLS
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.spread import WITHIN, interval
+from tilth.schemas.spread import WITHIN, interval, scale_of, unit_of
 
 ROW: Final = 0.145  # in, of a list of intervals
 FURTHEST: Final = 6.0  # sds, where an axis of distances ends

@@ -8,7 +8,7 @@ from tilth.analysis.report.document import ReportCell
 from tilth.logger.clock import utc_text
 from tilth.replay.estimates_json import ParameterEntry
 from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.spread import of_logarithm, plus_minus
+from tilth.schemas.spread import of_parameter, scale_of, unit_of
 
 NOTHING: Final = "–"
 SAYS: Final = " (95 %)"
@@ -23,16 +23,6 @@ METHODS: Final = {
     "pem_two_step": "two steps",
 }
 AXLES: Final = {"f": "front axle", "r": "rear axle", "i": "implement's axle"}
-
-
-def unit_of(parameter: str) -> str:
-    """For people."""
-    return "kN/rad" if parameter.startswith("C_") else "m"
-
-
-def scale_of(parameter: str) -> float:
-    """SI to unit_of."""
-    return 1e-3 if parameter.startswith("C_") else 1.0
 
 
 def heading_of(parameter: str) -> str:
@@ -50,8 +40,8 @@ def parameter_text(parameter: str, value: float | None, sd: float | None, unit: 
     """Estimate and 95 % interval; who shows it says that it is 95 %."""
     if value is None or sd is None:
         return NOTHING
-    scale = scale_of(parameter)
-    return of_logarithm(value * scale, sd * scale, unit_of(parameter) if unit else "").removesuffix(SAYS)
+    text = of_parameter(parameter, value, sd, bare=not unit)
+    return text.removesuffix(SAYS)
 
 
 def parameter_cell(parameter: str, found: ParameterEntry) -> ReportCell:
@@ -61,11 +51,6 @@ def parameter_cell(parameter: str, found: ParameterEntry) -> ReportCell:
         return ReportCell(status)
     text = parameter_text(parameter, value, sd) if sd is not None else number(value * scale_of(parameter))
     return ReportCell(text if status == "estimated" else f"{text} ({status})", value, sd)
-
-
-def interval_text(value: float, sd: float, unit: str = "") -> str:
-    """Estimate ± 95 % of what is normal."""
-    return plus_minus(value, sd, unit).removesuffix(SAYS)
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:

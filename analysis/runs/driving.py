@@ -13,7 +13,6 @@ from tilth.analysis.runs.run import Run
 from tilth.estimator import fold
 from tilth.estimator.record.record import Segment
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
-from tilth.logger.log.mcap_log import machine_sha256
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Frame, Pose
 from tilth.schemas.proto.tilth_pb2 import Snapshot
@@ -40,7 +39,7 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
     progress: takes (done, all) of bytes.
     """
     files = [identity(file.path) for file in run.files]
-    name = key_of(*files, machine_sha256(run.machine, run.machine_text))
+    name = key_of(*files, run.machine_file.sha256)
     kept = (cache or cache_folder()) / f"{name}.driving"
     found = _loaded(kept, kept.stat().st_mtime_ns) if kept.exists() else None
     if found is None:

@@ -17,14 +17,15 @@ import zstandard
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.log import whole_file
 from tilth.logger.log.derived import Derived
-from tilth.logger.log.mcap_log import LogWriter, RunPart, machine_sha256, software
+from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.software import software
 from tilth.replay.kept_room import room_for
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.simulated import simulated_by
 from tilth.schemas.flow import Frame
 from tilth.schemas.log_settings import Log
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable
 
 Progress = Callable[[int, int], None]  # done, of all
@@ -109,8 +110,7 @@ def store(path: Path, found: object, log: Log) -> None:
 
 def replayed(
     path: Path,
-    machine: Machine,
-    machine_text: str,
+    machine_file: MachineFile,
     buses: Mapping[str, str],
     progress: Progress,
     say: Say,
@@ -123,22 +123,22 @@ def replayed(
     """
     folder = cache or cache_folder()
     names = sorted(buses.items())
-    kept = folder / f"{key_of(sha256_of(path), machine_sha256(machine, machine_text), names)}.mcap"
+    kept = folder / f"{key_of(sha256_of(path), machine_file.sha256, names)}.mcap"
     if kept.exists():
         with contextlib.suppress(OSError):  # it is in use
             kept.touch()
         return kept
-    room = room_for(caches(folder, machine.log), [path])
+    room = room_for(caches(folder, machine_file.machine.log), [path])
     say(f"{path}: is replayed for its poses, once; they are kept")
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = kept.with_suffix(f".{os.getpid()}.part")
     size = path.stat().st_size
     run = RunPart(readable(path.stem), 1, _first_ns(path), simulated=simulated_by([path]))
-    writer = LogWriter(unfinished, machine, machine_text, run)
+    writer = LogWriter(unfinished, machine_file, run)
     try:
         with contextlib.closing(writer):
             outputs = ReplayOutputs(writer, progress=lambda done: progress(room(done), size))
-            replay([path], machine, machine_text, buses=buses, outputs=outputs, say=say)
+            replay([path], machine_file, buses=buses, outputs=outputs, say=say)
         unfinished.replace(kept)
     finally:
         unfinished.unlink(missing_ok=True)

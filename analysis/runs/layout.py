@@ -92,7 +92,7 @@ def unit_of(topic: str, field: str, repetition: str = "") -> str:
     """Unit of a field, "" for none. repetition: the parameter that it is of. Raises KeyError."""
     if repetition and field in ("value", "sd"):
         return "N/rad" if repetition.startswith("C_") else "m"
-    if field == "per_mass":
+    if field in ("per_mass", "per_mass_sd"):
         return "m/s^2/rad"
     if field == "sd":
         return SD_UNITS.get(topic.rpartition("/")[2], "")

@@ -34,6 +34,7 @@ from tilth.replay.simulated import REPLAY, SAID, simulated_by
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.readable import readable
 
@@ -52,11 +53,15 @@ class Run:
     id: str
     sources: tuple[Path, ...]  # as given
     files: tuple[LogFile, ...]  # in order; a replayed log where the sources hold no poses
-    machine: Machine
-    machine_text: str
+    machine_file: MachineFile
     note: str = ""
     say: Say = silent  # takes sentences about what cannot be read
     reader: ChannelReader = field(init=False)
+
+    @property
+    def machine(self) -> Machine:
+        """What the machine file says."""
+        return self.machine_file.machine
 
     def __post_init__(self) -> None:
         clocks = [file.metadata["clock"] for file in self.files if "clock" in file.metadata]
@@ -176,12 +181,13 @@ def open_runs(
     the logs -> names of the machine file. progress: takes (done, all) of bytes while a log is replayed. say:
     takes sentences for the user. cache: folder for what is kept. Raises LogError, MachineError, OSError.
     """
+    rig = machine and MachineFile(*machine)
     given = [paths] if isinstance(paths, str | Path) else list(paths)
     groups: dict[str, list[tuple[Path, LogFile]]] = {}
     empty: EmptyLog | None = None
     for path in map(Path, given):
         try:
-            file = _file_of(path, machine, buses or {}, progress, say, cache)
+            file = _file_of(path, rig, buses or {}, progress, say, cache)
         except EmptyLog as error:
             empty = error
             say(str(error))
@@ -193,7 +199,7 @@ def open_runs(
     if simulated:
         say(f"{', '.join(map(str, simulated))}: {SAID}")
     check_given_once([pair for files in groups.values() for pair in files])
-    return tuple(_run(files, machine, say) for files in groups.values())
+    return tuple(_run(files, rig, say) for files in groups.values())
 
 
 def _run_key(path: Path, file: LogFile, groups: Mapping[str, list[tuple[Path, LogFile]]]) -> str:
@@ -206,13 +212,13 @@ def _run_key(path: Path, file: LogFile, groups: Mapping[str, list[tuple[Path, Lo
     return key if is_part and file.path == path and REPLAY not in file.metadata else f"{path} {len(groups)}"
 
 
-def _run(files: list[tuple[Path, LogFile]], machine: tuple[Machine, str] | None, say: Say) -> Run:
+def _run(files: list[tuple[Path, LogFile]], machine: MachineFile | None, say: Say) -> Run:
     files.sort(key=lambda pair: _part(pair[1]))
     found = machine or machine_in([file.path for _, file in files])
     run = files[0][1].metadata.get("run", {})
     return Run(
         _name(*files[0], run.get("id", "")),
-        tuple(path for path, _ in files), tuple(file for _, file in files), *found, run.get("note", ""), say,
+        tuple(path for path, _ in files), tuple(file for _, file in files), found, run.get("note", ""), say,
     )  # fmt: skip
 
 
@@ -230,7 +236,7 @@ def _part(file: LogFile) -> int:
 
 def _file_of(
     path: Path,
-    machine: tuple[Machine, str] | None,
+    machine: MachineFile | None,
     buses: Mapping[str, str],
     progress: Progress,
     say: Say,
@@ -241,8 +247,7 @@ def _file_of(
     log.file.close()
     if log.form == MCAP and machine is None and holds_poses(path):
         return _read_file(path)
-    rig = machine or machine_in([path])
-    return _read_file(replayed(path, *rig, buses, progress, say, cache))
+    return _read_file(replayed(path, machine or machine_in([path]), buses, progress, say, cache))
 
 
 def is_mcap(path: Path) -> bool:

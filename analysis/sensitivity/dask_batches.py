@@ -17,10 +17,10 @@ from statistics import median
 from typing import Any, Final, NamedTuple
 
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, end_of, stored_part
+from tilth.schemas.invocation import installing
 from tilth.schemas.limiter import is_this_computer
 from tilth.schemas.readable import reason_of
 
-INSTALL: Final = "--dask needs Dask: `pip install tilth[dask]`"
 ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
 SLOW: Final = 5.0  # times what half of the batches took at most: then another worker is asked too
 HUNG_S: Final = 60.0  # and not before
@@ -86,7 +86,7 @@ def _on_dask(
     try:
         distributed: Any = import_module("distributed")
     except ImportError:
-        raise DaskProblem(INSTALL) from None
+        raise DaskProblem(f"--dask needs one package more: {installing('dask')}") from None
     security = _security(distributed, address, certificates)
     try:
         client = distributed.Client(address, timeout=ANSWER_S, set_as_default=False, security=security)

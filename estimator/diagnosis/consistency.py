@@ -158,7 +158,9 @@ def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Esti
     if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
         return estimate  # it has no numbers, and its own reasons
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
-    return replace(estimate, parameters=parameters, per_mass=(None,) * 3, determined=(), bound=())
+    return replace(
+        estimate, parameters=parameters, per_mass=(None,) * 3, per_mass_sd=(), determined=(), bound=()
+    )
 
 
 def sensor_failed(state: Consistency, fault: Code | None, seen_at_once: bool) -> Directive:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.once import once_for_a_machine
-from tilth.estimator.rig.numbers import NUMBERS, names
+from tilth.estimator.rig.numbers import NUMBER, NUMBERS, names
+from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 
 Array = NDArray[np.float64]
@@ -23,17 +24,31 @@ OPEN: Final = sorted((row for row in NUMBERS if row.open_sd), key=lambda row: AT
 NAMES: Final = names(OPEN)
 OF_PAIRS: Final = names(row for row in OPEN if row.in_rows and row.place)
 
+SUSPECTS: Final = (*OPEN, NUMBER["I_t"])
+"""What may be wrong in a file, each alone. The last is the tractor's mass, with the row of its inertia: it
+cannot be left open, since motion shows forces over it, and is seen as other inertias."""
+_INERTIAL: Final = ("m_i", "I_t", "I_i")
+_FOUND_OFF: Final = np.column_stack([np.eye(len(NAMES)), [-1.0 * (name in _INERTIAL) for name in NAMES]])
+"""[n, n + 1]: how far off the open tracker finds the numbers, by an error of each of SUSPECTS. Where a
+tractor is heavier than its file says, its inertia and what is behind it look smaller, ..."""
+_STIFFNESSES: Final = np.array([1.0 * (name in ("C_af", "C_ar", "C_ai")) for name in PARAMETERS])
+"""... and all tyres are stiffer than they are learned: by the same logarithm."""
+
 
 class Misfit(NamedTuple):
-    """Difference between what the open tracker finds and the file. Arrays in the order of OPEN."""
+    """Difference between what the open tracker finds and the file. Arrays by OPEN or SUSPECTS."""
 
     total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
-    by_name: Array  # [n]; decrease of `total` if this number alone is freed
     off: Array  # [n]; result minus the file's value, in the unit of each
     sd: Array  # [n]; of the result
-    found: Array  # [n]; error of each number if it alone is wrong
-    alone: Array  # [n]; sd of that, with the error that is allowed
-    moves: Array  # [6, n]; of the six logarithms, learned with the file's values, by an error of each number
+    found: Array  # [n + 1]; error of each of SUSPECTS if it alone is wrong
+    alone: Array  # [n + 1]; sd of that, with the error that is allowed
+    moves: Array  # [6, n + 1]; true less learned logarithms, with the file's values, by such an error
+
+    @property
+    def by_name(self) -> Array:
+        """[n]; decrease of `total` if this number alone is freed."""
+        return (self.found / self.alone)[: len(NAMES)] ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +72,13 @@ def misfit_of(off: Array, covariance: Array, machine: Machine) -> Misfit:
     own = covariance[6:, 6:]
     inverse = np.linalg.inv(own + np.diag(allowed(machine) ** 2))
     solved = inverse @ off
-    precision = np.diag(inverse)
+    precision = np.einsum("ik,ij,jk->k", _FOUND_OFF, inverse, _FOUND_OFF)
+    moves = covariance[:6, 6:] @ np.linalg.inv(own + np.diag(_stated(machine) ** 2)) @ _FOUND_OFF
+    moves[:, -1] += _STIFFNESSES
     return Misfit(
-        float(off @ solved),
-        solved**2 / precision,
-        off,
-        np.sqrt(np.diag(own)),
-        solved / precision,
-        1.0 / np.sqrt(precision),
-        covariance[:6, 6:] @ np.linalg.inv(own + np.diag(_stated(machine) ** 2)),
-    )
+        float(off @ solved), off, np.sqrt(np.diag(own)), solved @ _FOUND_OFF / precision,
+        1.0 / np.sqrt(precision), moves,
+    )  # fmt: skip
 
 
 def _stated(machine: Machine) -> Array:

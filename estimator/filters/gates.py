@@ -26,6 +26,7 @@ class GateTuning:
 GATE: Final = GateTuning()
 GATES: Final = (GATE.yaw_rate, GATE.velocity, GATE.position, GATE.position, GATE.heading, GATE.roll)
 """By the kind of a measurement, record.YAW_RATE to ROLL_ANGLE."""
+UNLIMITED: Final = 1e30  # sds: no innovation is an outlier
 
 
 def outliers(rows: Array, e: Array, S: Array) -> NDArray[np.bool_]:

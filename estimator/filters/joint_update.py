@@ -1,12 +1,12 @@
-"""What both filters do with a record: rows up to a tick, covariances from tick to tick, and the update with
-one measurement."""
+"""What the filters share of their steps: covariances from tick to tick, and the update with one
+measurement."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.states import (
     BANK_STATES,
     N_STATES,
@@ -23,14 +23,13 @@ from tilth.estimator.filters.transition import (
     Transition,
     propagate_covariance,
 )
-from tilth.estimator.record.record import TICK
 
 Array = NDArray[np.float64]
 
 
 class JointState(NamedTuple):
-    """The joint state during a run. Beside it there may be perturbed filters (perturbed_filters.py): `c`
-    filters in all, of which the first is the run's."""
+    """The joint state during a run; row_filter.py has fewer states. Beside it there may be perturbed filters
+    (perturbed_filters.py): `c` filters in all, of which the first is the run's."""
 
     x: Array  # (30,)
     following: Array  # (30,), x one tick later
@@ -56,30 +55,33 @@ def empty_work(count: int, n: int) -> UpdateWork:
 
 
 @inner_kernel
-def rows_by(rows: Array, row: int, tick: int) -> int:
-    """The first row of a record, from `row` on, that comes after a tick."""
-    while row < rows.shape[0] and rows[row, TICK] <= tick:
-        row += 1
-    return row
-
-
-@inner_kernel
 def propagate_covariances(state: JointState, step: Transition) -> None:
     """Of all filters, by a tick."""
     for c in range(state.P.shape[0]):
         propagate_covariance(state.P[c], c, step, state.x[X_PSI])
 
 
-@inner_kernel
+@inline_kernel
 def update(
     errors: Array, variances: Array, H: Array, state: JointState, step: Transition, gate: float,
     work: UpdateWork,
 ) -> bool:  # fmt: skip
-    """Schmidt-Kalman update of the joint state with one measurement; considered unknowns stay as they are.
+    """Schmidt-Kalman update of the joint state with one measurement, as `correct`; considered unknowns stay
+    as they are. H: (30 + a,), Jacobian over the joint state at the tick."""
+    used = correct(errors, variances, H, state, gate, work)
+    if used:
+        move(errors[0], state, step, work)
+    return used
 
-    errors: (c,), innovations. variances: (c,), of the measurement's noise; then of the innovations. H: (30 +
-    a,), Jacobian over the joint state at the tick. False if the first error is beyond `gate` sds of it and
-    nothing was updated.
+
+@inner_kernel
+def correct(
+    errors: Array, variances: Array, H: Array, state: JointState, gate: float, work: UpdateWork
+) -> bool:
+    """Update the covariances and fill work's gains.
+
+    errors: (c,), innovations. variances: (c,), of the measurement's noise; then of the innovations. H: (n,).
+    False if the first error is beyond `gate` sds of it and nothing was updated.
     """
     P, considered, P_H, gain = state.P, state.considered, work.P_H, work.gain
     count, n = P.shape[0], P.shape[1]
@@ -105,7 +107,6 @@ def update(
                 for j in range(n):
                     P[c, i, j] -= (1.0 - considered[j]) * gain[c, i] * P_H[c, j]
                 gain[c, i] = 0.0
-    move(errors[0], state, step, work)
     return True
 
 

@@ -63,15 +63,16 @@ def predict_measurement(x: Array, obs: Observation, unknowns: Array, setup: RigS
 
 
 @inner_kernel
-def between(share: float, h: Array, step: Transition, H: Array) -> None:
-    """Fill the first 30 of H, the Jacobian over the state at the tick, from h (30 + n,), that at an instant a
-    share of a tick later, between which the state is linear."""
-    for j in range(N_STATES):
+def between(share: float, h: Array, F: Array, H: Array) -> None:
+    """Fill H, the Jacobian over the n states at the tick, from h, that at an instant a share of a tick later,
+    between which the state is linear. F: (n, n), over the tick. Of longer H and h the first n are meant."""
+    n = F.shape[0]
+    for j in range(n):
         H[j] = (1.0 - share) * h[j]
-    for i in range(N_STATES):
+    for i in range(n):
         if h[i] != 0.0 and share != 0.0:
-            for j in range(N_STATES):
-                H[j] += share * h[i] * step.F[i, j]
+            for j in range(n):
+                H[j] += share * h[i] * F[i, j]
 
 
 @inner_kernel
@@ -106,7 +107,7 @@ def innovation(
     for i in range(N_STATES):
         at.x[i] = x[i] + obs.share * (following[i] - x[i])
     error = reading - predict_measurement(at.x, obs, state.unknowns, setup, at.h)
-    between(obs.share, at.h, step, at.H)
+    between(obs.share, at.h, step.F, at.H)
     unknowns_between(obs.share, at.h, places, step, at.H_unknowns)
     return float(error)
 

@@ -8,18 +8,18 @@ unknowns, with the gains held, are propagated beside the state by the same Jacob
 the readings makes of e, and so are companions with other noise levels (perturbed_filters.py).
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.filters.gates import UNLIMITED
 from tilth.estimator.filters.joint_update import (
     JointState,
     UpdateWork,
     empty_work,
     propagate_covariances,
-    rows_by,
     update,
 )
 from tilth.estimator.filters.measurement_model import Expected, innovation, observation
@@ -40,6 +40,7 @@ from tilth.estimator.filters.propagation import (
     propagate,
     set_plant,
 )
+from tilth.estimator.filters.record_loop import over_ticks
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
 from tilth.estimator.filters.states import N_STATES, Places
@@ -56,8 +57,6 @@ from tilth.estimator.filters.unknowns import N_UNKNOWNS
 from tilth.estimator.record.record import SD, U
 
 Array = NDArray[np.float64]
-
-UNLIMITED: Final = 1e30  # sds: no innovation is an outlier here
 
 
 class Measured(NamedTuple):
@@ -140,6 +139,8 @@ def propagate_sensitivities(sensitivities: Sensitivities, step: Transition) -> N
 class Runner(NamedTuple):
     """What a filter run works with."""
 
+    measured: Measured
+    setup: RigSetup
     state: JointState
     run: Filters
     varied: Varied
@@ -148,31 +149,34 @@ class Runner(NamedTuple):
     step: Transition
     work: UpdateWork
     at: Expected
+    out: Innovations
 
 
 @inline_kernel
-def runner(u: float, x: Array, unknowns: Array, setup: RigSetup, varied: Varied) -> Runner:
-    """At the first tick of a run, at speed u, m/s. The other arguments are those of `run_filter`."""
+def runner(
+    measured: Measured, x: Array, unknowns: Array, setup: RigSetup, varied: Varied, out: Innovations
+) -> Runner:
+    """At the first tick of a run. The arguments are those of `run_filter`."""
     places, run = varied.places, filters(unknowns, varied.nearby)
     na, learned = places.shape[0], places[:0]
     plant = empty_plant(setup, na)
     set_plant(plant, unknowns, setup, places)
-    P = first_covariances(u, run, setup)
+    P = first_covariances(measured.ticks[0, U], run, setup)
     step, work = empty_transition(na, learned.shape[0], P.shape[0]), empty_work(P.shape[0], P.shape[1])
     state = JointState(x, np.zeros(N_STATES), unknowns, learned, np.zeros(N_STATES), P)
     sensitivities = Sensitivities(np.zeros((N_STATES, na)), np.zeros((N_COUPLED, na)), np.zeros(na))
     at = Expected(np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), np.zeros(N_STATES), np.zeros(na))
-    return Runner(state, run, varied, sensitivities, plant, step, work, at)
+    return Runner(measured, setup, state, run, varied, sensitivities, plant, step, work, at, out)
 
 
 @inline_kernel
-def begin_tick(ticks: Array, k: int, setup: RigSetup, on: Runner) -> float:
+def begin_tick(k: int, on: Runner) -> float:
     """Propagate the state from tick k to the next; the measured speed between them, m/s."""
-    x, unknowns, step = on.state.x, on.state.unknowns, on.step
+    x, unknowns, step, ticks = on.state.x, on.state.unknowns, on.step, on.measured.ticks
     drive = drive_at(ticks, k, unknowns)
     if k % EVERY == 0:
-        set_all_noise(drive.u, on.run, setup, step)
-        set_wheel_noise(drive.u, unknowns, setup.sds, step)
+        set_all_noise(drive.u, on.run, on.setup, step)
+        set_wheel_noise(drive.u, unknowns, on.setup.sds, step)
         linearise(x, ticks, k, unknowns, on.plant, step)
     propagate(x, drive, unknowns, on.plant, on.varied.places, step, on.state.following)
     for j in range(on.varied.responding.shape[0]):
@@ -182,10 +186,10 @@ def begin_tick(ticks: Array, k: int, setup: RigSetup, on: Runner) -> float:
 
 
 @inline_kernel
-def end_tick(closed: bool, on: Runner) -> None:
+def end_tick(u: float, on: Runner) -> None:
     """Propagate all else."""
     state, step = on.state, on.step
-    if closed:
+    if on.measured.closed:
         propagate_covariances(state, step)
         advance(on.run, state.x, step)
     for i in range(N_STATES):
@@ -194,14 +198,13 @@ def end_tick(closed: bool, on: Runner) -> None:
 
 
 @inner_kernel
-def take_row(
-    measured: Measured, row: int, k: int, u: float, setup: RigSetup, on: Runner,
-    out: Innovations,
-) -> None:  # fmt: skip
+def take_row(row: int, k: int, u: float, on: Runner) -> None:
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
-    state, at, sensitivities = on.state, on.at, on.sensitivities
+    measured, state, at, sensitivities, out = on.measured, on.state, on.at, on.sensitivities, on.out
+    if measured.used[row] == 0.0:
+        return
     obs = observation(measured.ticks, measured.rows[row], k, u, state.x, state.following, state.unknowns)
-    error = innovation(measured.readings[row], obs, state, on.varied.places, setup, on.step, at)
+    error = innovation(measured.readings[row], obs, state, on.varied.places, on.setup, on.step, at)
     row_sensitivities(at.H, at.H_unknowns, row, on.varied, sensitivities)
     out.e[row] = error
     for j in range(sensitivities.d.shape[0]):
@@ -218,18 +221,7 @@ def take_row(
         out.e_nearby[row, q], out.S_nearby[row, q] = errors[1 + q], variances[1 + q]
 
 
-@inner_kernel
-def run_ticks(measured: Measured, setup: RigSetup, on: Runner, out: Innovations) -> None:
-    """All ticks of a run."""
-    rows, used, row = measured.rows, measured.used, 0
-    for k in range(measured.ticks.shape[0]):
-        u = begin_tick(measured.ticks, k, setup, on)
-        after = rows_by(rows, row, k)
-        for i in range(row, after):
-            if used[i] != 0.0:
-                take_row(measured, i, k, u, setup, on, out)
-        row = after
-        end_tick(measured.closed, on)
+run_ticks = over_ticks.with_steps(begin_tick=begin_tick, take_row=take_row, end_tick=end_tick)
 
 
 @kernel
@@ -241,5 +233,5 @@ def run_filter(
     unknowns: (n,). x: (30,), the first state, overwritten with the last.
     """
     out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
-    on = runner(measured.ticks[0, U], x, unknowns, setup, varied)
-    run_ticks(measured, setup, on, out)
+    on = runner(measured, x, unknowns, setup, varied, out)
+    run_ticks(measured.ticks.shape[0], measured.rows, on)

@@ -5,25 +5,25 @@ then on it is one linear map: the readings that the rig of straight_driving.py w
 the unknowns, pass through it together, as columns, in the same kernel that makes them.
 """
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel, kernel
-from tilth.estimator.filters.gates import GATES
-from tilth.estimator.filters.measurement_model import noise_factor
+from tilth.estimator.filters.gates import GATES, UNLIMITED
+from tilth.estimator.filters.joint_update import JointState, UpdateWork, correct, empty_work
+from tilth.estimator.filters.measurement_model import between, noise_factor
+from tilth.estimator.filters.record_loop import over_ticks
 from tilth.estimator.filters.sensors.wheel_angle import driven_by, set_wheel_slopes, wheel_angle_at
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
 from tilth.estimator.filters.transition import multiply
 from tilth.estimator.filters.unknowns import AT_LATENCY, AT_YAW_RATE_DELAY, N_UNKNOWNS
 from tilth.estimator.models.generated.observation_kernels import WHEEL_ANGLE_UNKNOWNS
-from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, TICK, YAW_RATE, U
+from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE, U
 
 Array = NDArray[np.float64]
-
-OF_KINDS: Final = np.array(GATES)
 
 
 class KeptGains(NamedTuple):
@@ -48,9 +48,25 @@ class Whitened(NamedTuple):
     mean_reading: Array  # (1,), of the wheel angle, rad
 
 
+class AtSpeed(NamedTuple):
+    """Where a speed is among the tabulated ones."""
+
+    low: int  # the next lower one
+    share: float  # of the way to the next, 0 to 1
+
+
 @inner_kernel
-def mix(table: Array, low: int, share: float, out: Array) -> None:
-    """Fill out with what a table has at a speed, `share` of the way from one tabulated to the next."""
+def find_speed(u: float, speeds: Array) -> AtSpeed:
+    """Of u, m/s. speeds: (s,), evenly apart."""
+    spacing, nodes = speeds[1] - speeds[0], speeds.shape[0]
+    low = min(max(int((u - speeds[0]) / spacing), 0), nodes - 2)
+    return AtSpeed(low, (u - speeds[low]) / spacing)
+
+
+@inner_kernel
+def mix(table: Array, at: AtSpeed, out: Array) -> None:
+    """Fill out with what a table has at a speed."""
+    low, share = at
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = (1.0 - share) * table[low, i, j] + share * table[low + 1, i, j]
@@ -63,63 +79,94 @@ def instant_of(row: Array, unknowns: Array) -> float:
     return float((row[OFFSET] - late) / DT)
 
 
+class GainRun(NamedTuple):
+    """What the run works with that leaves the gains."""
+
+    ticks: Array  # (n, 8)
+    rows: Array  # (m, 6)
+    readings: Array  # (m,)
+    model: FilterModel
+    settling: int  # ticks in which nothing is an outlier
+    out: KeptGains
+    state: JointState  # of 25 states
+    F: Array  # (25, 25), at the present speed, as Q and sensors
+    Q: Array  # (25, 25)
+    sensors: Array  # (24, 25)
+    H: Array  # (25,), of a reading
+    error: Array  # (1,), innovation
+    variance: Array  # (1,), of its noise, then of it
+    work: UpdateWork
+    F_P: Array  # (25, 25), overwritten
+    F_T: Array  # (25, 25), overwritten
+
+
+@inner_kernel
+def begin_gains(k: int, on: GainRun) -> None:
+    """The filter at the speed of tick k."""
+    ticks, model = on.ticks, on.model
+    at = find_speed(0.5 * (ticks[k, U] + ticks[min(k + 1, ticks.shape[0] - 1), U]), model.speeds)
+    mix(model.F, at, on.F)
+    mix(model.Q, at, on.Q)
+    mix(model.H, at, on.sensors)
+
+
+@inner_kernel
+def take_gain(i: int, k: int, none: None, on: GainRun) -> None:
+    """Update the filter with a row, but if it is an outlier, and keep its gain."""
+    row, state, out, error, H = on.rows[i], on.state, on.out, on.error, on.H
+    if out.used[i] == 0.0:
+        return
+    kind = int(row[KIND])
+    between(instant_of(row, state.unknowns), on.sensors[kind * PLACES + int(row[PLACE])], on.F, H)
+    error[0], on.variance[0] = on.readings[i], (row[SD] * noise_factor(kind, state.unknowns)) ** 2
+    for j in range(H.shape[0]):
+        error[0] -= H[j] * state.x[j]
+    gate = GATES[kind] if k >= on.settling else UNLIMITED
+    if not correct(error, on.variance, H, state, gate, on.work):
+        out.used[i] = 0.0
+        return
+    out.e[i], out.S[i] = error[0], on.variance[0]
+    for j in range(H.shape[0]):
+        out.H[i, j], out.K[i, j] = H[j], on.work.gain[0, j]
+        state.x[j] += on.work.gain[0, j] * error[0]
+
+
+@inner_kernel
+def end_gains(none: None, on: GainRun) -> None:
+    """Propagate state and covariance."""
+    x, following, P, F = on.state.x, on.state.following, on.state.P[0], on.F
+    multiply(F, x, following)
+    multiply(F, P, on.F_P)
+    for i in range(x.shape[0]):
+        x[i] = following[i]
+        for j in range(x.shape[0]):
+            on.F_T[j, i] = F[i, j]
+    multiply(on.F_P, on.F_T, P)
+    for i in range(x.shape[0]):
+        for j in range(i + 1):
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i]) + on.Q[i, j]
+
+
+run_gains = over_ticks.with_steps(begin_tick=begin_gains, take_row=take_gain, end_tick=end_gains)
+
+
 @kernel
 def set_gains(
-    ticks: Array,
-    rows: Array,
-    readings: Array,
-    unknowns: Array,
-    model: FilterModel,
-    settling: int,
+    ticks: Array, rows: Array, readings: Array, unknowns: Array, model: FilterModel, settling: int,
     out: KeptGains,
-) -> None:
+) -> None:  # fmt: skip
     """Run the filter over what is left of the readings, (m,), without steering, and fill out. settling:
     ticks in which nothing is an outlier."""
-    n, at = model.start.shape[0], 0
-    x, P, F, Q, H = np.zeros(n), model.start.copy(), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    sensors, F_P, F_T, P_H = np.zeros(model.H.shape[1:]), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
+    n = model.start.shape[0]
     out.e[:], out.S[:], out.K[:], out.H[:] = 0.0, 1.0, 0.0, 0.0
-    spacing, nodes = model.speeds[1] - model.speeds[0], model.speeds.shape[0]
-    for k in range(ticks.shape[0]):
-        u = 0.5 * (ticks[k, U] + ticks[min(k + 1, ticks.shape[0] - 1), U])
-        low = min(max(int((u - model.speeds[0]) / spacing), 0), nodes - 2)
-        share = (u - model.speeds[low]) / spacing
-        mix(model.F, low, share, F)
-        mix(model.Q, low, share, Q)
-        mix(model.H, low, share, sensors)
-        while at < rows.shape[0] and rows[at, TICK] <= k:
-            if out.used[at] != 0.0:
-                kind = int(rows[at, KIND])
-                code, later = kind * PLACES + int(rows[at, PLACE]), instant_of(rows[at], unknowns)
-                error, variance = readings[at], (rows[at, SD] * noise_factor(kind, unknowns)) ** 2
-                for j in range(n):
-                    H[j] = (1.0 - later) * sensors[code, j]
-                    for i in range(n):
-                        H[j] += later * sensors[code, i] * F[i, j]
-                for i in range(n):
-                    P_H[i] = 0.0
-                    for j in range(n):
-                        P_H[i] += P[i, j] * H[j]
-                for i in range(n):
-                    error -= H[i] * x[i]
-                    variance += H[i] * P_H[i]
-                if k >= settling and error * error > OF_KINDS[kind] ** 2 * variance:
-                    out.used[at] = 0.0
-                else:
-                    out.e[at], out.S[at] = error, variance
-                    for i in range(n):
-                        out.H[at, i], out.K[at, i] = H[i], P_H[i] / variance
-                        x[i] += out.K[at, i] * error
-                        for j in range(n):
-                            P[i, j] -= out.K[at, i] * P_H[j]
-            at += 1
-        x[:] = np.dot(F, x)
-        multiply(F, P, F_P)
-        F_T[:] = F.T
-        multiply(F_P, F_T, P)
-        for i in range(n):
-            for j in range(i + 1):
-                P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i]) + Q[i, j]
+    P = model.start.copy().reshape(1, n, n)
+    state = JointState(np.zeros(n), np.zeros(n), unknowns, np.zeros(0, np.int64), np.zeros(n), P)
+    on = GainRun(
+        ticks, rows, readings, model, settling, out, state, np.zeros((n, n)), np.zeros((n, n)),
+        np.zeros(model.H.shape[1:]), np.zeros(n), np.zeros(1), np.zeros(1), empty_work(1, n),
+        np.zeros((n, n)), np.zeros((n, n)),
+    )  # fmt: skip
+    run_gains(ticks.shape[0], rows, on)
 
 
 @inner_kernel
@@ -131,10 +178,11 @@ def add_scaled(A: Array, row: int, factor: float, B: Array, other: int) -> None:
 
 @inner_kernel
 def step_response(
-    low: int, share: float, wheel: float, wheel_slopes: Array, places: Places, model: StraightModel, z: Array,
+    at: AtSpeed, wheel: float, wheel_slopes: Array, places: Places, model: StraightModel, z: Array,
     following: Array,
 ) -> None:  # fmt: skip
     """Fill following, (13, 1 + a), from z: the state, and its slopes, one tick later."""
+    low, share = at
     na = places.shape[0]
     following[:] = 0.0
     for i in range(N_STRAIGHT):
@@ -157,10 +205,10 @@ def step_response(
 
 @inner_kernel
 def read_response(
-    code: int, late: float, low: int, share: float, model: StraightModel, z: Array, following: Array,
-    out: Array,
-) -> None:  # fmt: skip
+    code: int, late: float, at: AtSpeed, model: StraightModel, z: Array, following: Array, out: Array
+) -> None:
     """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z."""
+    low, share = at
     na, upper = out.shape[0] - 1, low + 1
     out[0] = (1.0 - share) * model.rest[low, code] + share * model.rest[upper, code]
     for j in range(na):
@@ -179,8 +227,9 @@ def read_response(
 
 
 @inner_kernel
-def step_filter(low: int, share: float, F: Array, D: Array, following: Array) -> None:
+def step_filter(at: AtSpeed, F: Array, D: Array, following: Array) -> None:
     """Propagate D, (25, c), the filter's state of each column. F: (s, 25, 25)."""
+    low, share = at
     following[:] = 0.0
     for i in range(F.shape[1]):
         for k in range(F.shape[1]):
@@ -192,54 +241,87 @@ def step_filter(low: int, share: float, F: Array, D: Array, following: Array) ->
             D[i, j] = following[i, j]
 
 
+class ResponseRun(NamedTuple):
+    """What the response to steering works with. Each array has a column of values, then of slopes."""
+
+    row: Whitened
+    model: StraightModel
+    unknowns: Array  # (n,)
+    places: Places  # (a,)
+    out: Array  # (slots, 1 + a)
+    z: Array  # (13, 1 + a)
+    following: Array  # (13, 1 + a), one tick later
+    D: Array  # (25, 1 + a), the filter's state
+    D_following: Array  # (25, 1 + a), overwritten
+    reading: Array  # (1 + a,)
+    wheel_slopes: Array  # (n,)
+
+
+@inner_kernel
+def begin_response(k: int, on: ResponseRun) -> AtSpeed:
+    """The rig one tick later."""
+    ticks, unknowns, behind = on.row.ticks, on.unknowns, on.unknowns[AT_LATENCY]
+    after = min(k + 1, ticks.shape[0] - 1)
+    early, late = wheel_angle_at(ticks, k, behind), wheel_angle_at(ticks, after, behind)
+    u, mean = 0.5 * (ticks[k, U] + ticks[after, U]), on.row.mean_reading[0]
+    drive = driven_by(u, 0.0, 0.5 * (early + late) - mean, (late - early) / DT, unknowns)
+    at = find_speed(u, on.model.speeds)
+    set_wheel_slopes(drive, unknowns, on.wheel_slopes)
+    step_response(at, drive.wheel, on.wheel_slopes, on.places, on.model, on.z, on.following)
+    return at
+
+
+@inner_kernel
+def take_response(i: int, k: int, at: AtSpeed, on: ResponseRun) -> None:
+    """What the rig gives in the place of a row, through the filter."""
+    row, gains, places, reading, D = on.row.rows[i], on.row.gains, on.places, on.reading, on.D
+    if gains.used[i] == 0.0:
+        return
+    na, n, kind, place = places.shape[0], D.shape[0], int(row[KIND]), int(row[PLACE])
+    code = kind * PLACES + place
+    read_response(code, instant_of(row, on.unknowns), at, on.model, on.z, on.following, reading)
+    if kind == YAW_RATE:
+        for j in range(na):
+            if places[j] == AT_YAW_RATE_DELAY + place:
+                for m in range(N_STRAIGHT):
+                    h = on.model.H[at.low, code, m]
+                    reading[1 + j] -= h * (on.following[m, 0] - on.z[m, 0]) / DT
+    for m in range(n):
+        h = gains.H[i, m]
+        if h != 0.0:
+            for j in range(1 + na):
+                reading[j] -= h * D[m, j]
+    for m in range(n):
+        for j in range(1 + na):
+            D[m, j] += gains.K[i, m] * reading[j]
+    slot = on.row.slots[i]
+    if slot >= 0:
+        for j in range(1 + na):
+            on.out[slot, j] += on.row.scales[i] * reading[j]
+
+
+@inner_kernel
+def end_response(at: AtSpeed, on: ResponseRun) -> None:
+    """On to the next tick."""
+    for i in range(on.z.shape[0]):
+        for j in range(on.z.shape[1]):
+            on.z[i, j] = on.following[i, j]
+    step_filter(at, on.row.filter.F, on.D, on.D_following)
+
+
+run_response = over_ticks.with_steps(begin_tick=begin_response, take_row=take_response, end_tick=end_response)
+
+
 @kernel
 def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places, out: Array) -> None:
     """Fill out, (slots, 1 + a): the whitened response to the wheel angle less its mean, and its slopes.
 
     unknowns: (n,), the point that `model` is of, with the wheel's zero less that mean.
     """
-    ticks, rows, gains = row.ticks, row.rows, row.gains
-    na, at = places.shape[0], 0
-    z, following = np.zeros((N_STRAIGHT, 1 + na)), np.zeros((N_STRAIGHT, 1 + na))
-    n = gains.H.shape[1]
-    D, D_following = np.zeros((n, 1 + na)), np.zeros((n, 1 + na))
-    reading, wheel_slopes = np.zeros(1 + na), np.zeros(N_UNKNOWNS)
     out[:] = 0.0
-    nodes, behind, mean = model.speeds.shape[0], unknowns[AT_LATENCY], row.mean_reading[0]
-    spacing = model.speeds[1] - model.speeds[0]
-    early = wheel_angle_at(ticks, 0, behind)
-    for k in range(ticks.shape[0]):
-        after = min(k + 1, ticks.shape[0] - 1)
-        late, u = wheel_angle_at(ticks, after, behind), 0.5 * (ticks[k, U] + ticks[after, U])
-        drive = driven_by(u, 0.0, 0.5 * (early + late) - mean, (late - early) / DT, unknowns)
-        early = late
-        low = min(max(int((u - model.speeds[0]) / spacing), 0), nodes - 2)
-        share = (u - model.speeds[low]) / spacing
-        set_wheel_slopes(drive, unknowns, wheel_slopes)
-        step_response(low, share, drive.wheel, wheel_slopes, places, model, z, following)
-        while at < rows.shape[0] and rows[at, TICK] <= k:
-            if gains.used[at] != 0.0:
-                kind, place = int(rows[at, KIND]), int(rows[at, PLACE])
-                code, later = kind * PLACES + place, instant_of(rows[at], unknowns)
-                read_response(code, later, low, share, model, z, following, reading)
-                if kind == YAW_RATE:
-                    for j in range(na):
-                        if places[j] == AT_YAW_RATE_DELAY + place:
-                            for i in range(N_STRAIGHT):
-                                h = model.H[low, code, i]
-                                reading[1 + j] -= h * (following[i, 0] - z[i, 0]) / DT
-                for i in range(n):
-                    h = gains.H[at, i]
-                    if h != 0.0:
-                        for j in range(1 + na):
-                            reading[j] -= h * D[i, j]
-                for i in range(n):
-                    for j in range(1 + na):
-                        D[i, j] += gains.K[at, i] * reading[j]
-                slot = row.slots[at]
-                if slot >= 0:
-                    for j in range(1 + na):
-                        out[slot, j] += row.scales[at] * reading[j]
-            at += 1
-        z[:] = following
-        step_filter(low, share, row.filter.F, D, D_following)
+    columns, n = 1 + places.shape[0], row.gains.H.shape[1]
+    on = ResponseRun(
+        row, model, unknowns, places, out, np.zeros((N_STRAIGHT, columns)), np.zeros((N_STRAIGHT, columns)),
+        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_UNKNOWNS),
+    )  # fmt: skip
+    run_response(row.ticks.shape[0], row.rows, on)

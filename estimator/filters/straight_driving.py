@@ -220,27 +220,25 @@ def _filter_step(u: float, rates_x: Array, processes: Processes) -> Array:
     F = np.diag(processes.decay)
     F[:X_DISTURBANCE, :X_DISTURBANCE] = F[X_POSITION + 1, X_POSITION + 1] = 0.0
     F[np.ix_(BANK_STATES, BANK_STATES)] = processes.bank
-    A, power, held = DT * rates_x[:, :X_DISTURBANCE], np.eye(X_DISTURBANCE), np.zeros((X_DISTURBANCE,) * 2)
-    for order in range(1, STRAIGHT.terms + 1):
-        held += DT * power / order
-        power = power @ A / order
-    change = held @ rates_x
-    F[:X_DISTURBANCE, : rates_x.shape[1]] = change
-    F[:X_DISTURBANCE, :X_DISTURBANCE] += np.eye(X_DISTURBANCE)
-    east = 0.5 * DT * (change[X_V] + u * change[X_PSI])
-    east[X_V] += DT
-    east[X_PSI] += DT * u
-    F[X_POSITION + 1, : len(east)] = east
+    later, _ = _over_a_tick(rates_x, np.zeros((0, *rates_x.shape)))
+    F[:X_DISTURBANCE, : rates_x.shape[1]] = later
+    twice = np.eye(*rates_x.shape) + later
+    F[X_POSITION + 1, : rates_x.shape[1]] = 0.5 * DT * (twice[X_V] + u * twice[X_PSI])
     F[X_POSITION + 1, X_POSITION + 1] = 1.0
     return F
 
 
 def _over_a_tick(A: Array, A_unknowns: Array) -> tuple[Array, Array]:
-    """(the state after a tick by that before and by the wheel angle (13, 14), its slopes (a, 13, 14)): the
-    exponential of the rates, and its derivative along theirs."""
-    size, acting = len(A) + 1, np.flatnonzero(np.any(A_unknowns != 0.0, axis=(1, 2)))
+    """(n states after a tick by those before and by inputs that are held (n, m), its slopes (a, n, m)): the
+    exponential of the rates A, (n, m), and its derivative along A_unknowns, (a, n, m).
+
+    The filters' own, `transition.integrate_exponential`, is a kernel of fewer terms, as each third tick of a
+    run needs it, and has no slopes.
+    """
+    n, size = A.shape
+    acting = np.flatnonzero(np.any(A_unknowns != 0.0, axis=(1, 2)))
     M, dM = np.zeros((size, size)), np.zeros((len(acting), size, size))
-    M[:-1], dM[:, :-1] = DT * A, DT * A_unknowns[acting]
+    M[:n], dM[:, :n] = DT * A, DT * A_unknowns[acting]
     power, found = np.eye(size), np.eye(size)
     slope, total = np.zeros_like(dM), np.zeros_like(dM)
     for order in range(1, STRAIGHT.terms + 1):
@@ -248,5 +246,5 @@ def _over_a_tick(A: Array, A_unknowns: Array) -> tuple[Array, Array]:
         power = power @ M / order
         found, total = found + power, total + slope
     slopes = np.zeros_like(A_unknowns)
-    slopes[acting] = total[:, :-1]
-    return found[:-1], slopes
+    slopes[acting] = total[:, :n]
+    return found[:n], slopes

@@ -18,7 +18,6 @@ from tilth.estimator.filters.joint_update import (
     UpdateWork,
     empty_work,
     propagate_covariances,
-    rows_by,
     update,
 )
 from tilth.estimator.filters.measurement_model import (
@@ -42,6 +41,7 @@ from tilth.estimator.filters.propagation import (
     set_processes,
     state_rates,
 )
+from tilth.estimator.filters.record_loop import over_ticks
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, set_wheel_noise
 from tilth.estimator.filters.states import N_STATES, X_DISTURBANCE, X_UNEVEN, Places
@@ -143,6 +143,11 @@ def add_ground(x: Array, P: Array, ground: GroundNoise, sums: Array) -> None:
 class SegmentRun(NamedTuple):
     """What a run over a segment works with."""
 
+    segment: SegmentArrays
+    setup: RigSetup
+    ground: GroundNoise
+    tally: RowTally
+    by_steering: bool
     state: JointState
     instrument: Array  # (30,), as JointEstimate.instrument
     plant: Plant
@@ -154,7 +159,10 @@ class SegmentRun(NamedTuple):
 
 
 @inline_kernel
-def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array) -> SegmentRun:
+def segment_run(
+    segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
+    ground: GroundNoise, tally: RowTally, by_steering: bool,
+) -> SegmentRun:  # fmt: skip
     """At the first tick. The arguments are those of `track_segment`."""
     x, unknowns, na = estimate.x, estimate.unknowns, places.shape[0]
     n = N_STATES + na
@@ -162,6 +170,7 @@ def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, consid
     state, H = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P), np.zeros(n)
     step, work = empty_transition(na, na, P.shape[0]), empty_work(P.shape[0], n)
     return SegmentRun(
+        segment, setup, ground, tally, by_steering,
         state, estimate.instrument, empty_plant(setup, na), step, work,
         Expected(np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), H, H[N_STATES:]),
         np.zeros(1), np.zeros(1),
@@ -169,29 +178,41 @@ def segment_run(estimate: JointEstimate, setup: RigSetup, places: Places, consid
 
 
 @inline_kernel
-def linearise_anew(
-    ticks: Array, k: int, u: float, setup: RigSetup, ground: GroundNoise, by_steering: bool, on: SegmentRun
-) -> None:
+def linearise_anew(k: int, u: float, on: SegmentRun) -> None:
     """At what is known by tick k, at speed u, m/s."""
-    unknowns, plant, step = on.state.unknowns, on.plant, on.step
-    set_plant(plant, unknowns, setup, on.state.places)
-    set_bank(u, setup, step)
+    ticks, unknowns, plant, step = on.segment.ticks, on.state.unknowns, on.plant, on.step
+    set_plant(plant, unknowns, on.setup, on.state.places)
+    set_bank(u, on.setup, step)
     for c in range(on.state.P.shape[0]):
-        set_processes(u, ground, setup, step, c)
+        set_processes(u, on.ground, on.setup, step, c)
     linearise(on.state.x, ticks, k, unknowns, plant, step)
-    if by_steering:
+    if on.by_steering:
         jacobian_at_instrument(on.instrument, ticks, k, unknowns, plant, step)
 
 
 @inline_kernel
-def take_measurement(
-    ticks: Array, row: Array, k: int, u: float, setup: RigSetup, tally: RowTally, on: SegmentRun
-) -> None:
-    """Update the state with a row, (6,), of the record, after tick k at speed u, m/s; add to the tally."""
-    state, counts = on.state, tally.counts
-    obs = observation(ticks, row, k, u, state.x, state.following, state.unknowns)
-    error = innovation(row[VALUE], obs, state, state.places, setup, on.step, on.at)
-    noise_variance = (row[SD] * noise_factor(obs.kind, state.unknowns)) ** 2
+def begin_tick(k: int, on: SegmentRun) -> float:
+    """Propagate the state, and what steering alone makes of it, to the next tick; the speed, m/s."""
+    state, step, tick = on.state, on.step, on.segment.first + k
+    drive = drive_at(on.segment.ticks, tick, state.unknowns)
+    if k % EVERY == 0:
+        linearise_anew(tick, drive.u, on)
+    state_rates(on.instrument, drive, on.plant, step.rates)
+    propagate_mean(on.instrument, drive.u, step, state.following)
+    for i in range(N_STATES):
+        on.instrument[i] = state.following[i]
+    propagate(state.x, drive, state.unknowns, on.plant, state.places, step, state.following)
+    return drive.u
+
+
+@inline_kernel
+def take_row(row: int, k: int, u: float, on: SegmentRun) -> None:
+    """Update the state with a row of the segment, after its tick k at speed u, m/s; add to the tally."""
+    state, counts, measured = on.state, on.tally.counts, on.segment.rows[row]
+    tick = on.segment.first + k
+    obs = observation(on.segment.ticks, measured, tick, u, state.x, state.following, state.unknowns)
+    error = innovation(measured[VALUE], obs, state, state.places, on.setup, on.step, on.at)
+    noise_variance = (measured[SD] * noise_factor(obs.kind, state.unknowns)) ** 2
     if not (math.isfinite(error) and math.isfinite(noise_variance)):
         counts[BAD] += 1.0
         return
@@ -200,36 +221,21 @@ def take_measurement(
         counts[GATED] += 1.0
         return
     counts[USED] += 1.0
-    add_residual(obs.kind, on.error[0], noise_variance, on.variance[0], row[SD], tally.sums)
+    add_residual(obs.kind, on.error[0], noise_variance, on.variance[0], measured[SD], on.tally.sums)
 
 
-@inner_kernel
-def track_ticks(
-    segment: SegmentArrays, setup: RigSetup, ground: GroundNoise, tally: RowTally, by_steering: bool,
-    on: SegmentRun,
-) -> None:  # fmt: skip
-    """All ticks of a segment. The arguments are those of `track_segment`."""
-    ticks, first, size, rows = segment
-    state, step, row = on.state, on.step, 0
-    x, following = state.x, state.following
-    for k in range(first, first + size):
-        drive = drive_at(ticks, k, state.unknowns)
-        if (k - first) % EVERY == 0:
-            linearise_anew(ticks, k, drive.u, setup, ground, by_steering, on)
-        state_rates(on.instrument, drive, on.plant, step.rates)
-        propagate_mean(on.instrument, drive.u, step, following)
-        for i in range(N_STATES):
-            on.instrument[i] = following[i]
-        propagate(x, drive, state.unknowns, on.plant, state.places, step, following)
-        after = rows_by(rows, row, k - first)
-        for i in range(row, after):
-            take_measurement(ticks, rows[i], k, drive.u, setup, tally, on)
-        row = after
-        set_wheel_noise(drive.u, state.unknowns, setup.sds, step)
-        add_ground(x, state.P[0], ground, tally.sums)
-        propagate_covariances(state, step)
-        for i in range(N_STATES):
-            x[i] = following[i]
+@inline_kernel
+def end_tick(u: float, on: SegmentRun) -> None:
+    """Propagate all else."""
+    state, step = on.state, on.step
+    set_wheel_noise(u, state.unknowns, on.setup.sds, step)
+    add_ground(state.x, state.P[0], on.ground, on.tally.sums)
+    propagate_covariances(state, step)
+    for i in range(N_STATES):
+        state.x[i] = state.following[i]
+
+
+track_ticks = over_ticks.with_steps(begin_tick=begin_tick, take_row=take_row, end_tick=end_tick)
 
 
 @kernel
@@ -242,6 +248,6 @@ def track_segment(
     places: (a,), indices of the active ones of unknowns.NAMES. considered: (30 + a,), 1.0 for what may not be
     learned. by_steering: whether slopes by the unknowns are those of `propagation.jacobian_at_instrument`.
     """
-    on = segment_run(estimate, setup, places, considered)
-    track_ticks(segment, setup, ground, tally, by_steering, on)
+    on = segment_run(segment, estimate, setup, places, considered, ground, tally, by_steering)
+    track_ticks(segment.size, segment.rows, on)
     unpack_covariance(on.state.P[0], places, estimate)

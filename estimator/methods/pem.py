@@ -14,28 +14,28 @@ fitted.
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import fit_covariance, scoring, unknowns
-from tilth.estimator.filters.drift import drift, retained_share
+from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_field import Told, told
-from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX, Matrix, Vector
+from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
+from tilth.estimator.methods import fitted
+from tilth.estimator.methods.fitted import FittedState
 from tilth.estimator.record.record import Record, Segment, U
-from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
-from tilth.estimator.record.windows import OPEN, close_window, collect, late_reason, refuse
-from tilth.estimator.results import advice
+from tilth.estimator.record.windows import close_window, collect
+from tilth.estimator.results import advice, method_state
 from tilth.estimator.results.advice import Advisor
-from tilth.estimator.results.reporting import REPORTING, age_s, six_parameter_estimate, stale_reason
-from tilth.estimator.state_json import Shape
+from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice, NoticeCode, notice, reasoned
-from tilth.schemas.reasons import Code, Reason
+from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.reasons import Code
 from tilth.schemas.spread import interval
 
 Array = NDArray[np.float64]
@@ -96,36 +96,14 @@ class Fit:
 
 
 @dataclass(slots=True)
-class PemState:
-    """Arrays in the order of unknowns.NAMES; times ns, distances m."""
+class PemState(FittedState):
+    """`distance` is since the last window. What errors of the model leave is in `covariance`, too."""
 
-    mean: Vector
-    covariance: Matrix
-    prior_mean: Vector
-    prior_sd: Vector
-    model_sd: Annotated[Array, Shape((6,))] = field(default_factory=lambda: np.zeros(6))
-    """Of the six, what errors of the model leave in `mean` and more data do not take away: in `covariance`,
-    too."""
     window: list[Segment] = field(default_factory=list)
     closed: Record | None = None  # a complete window whose fit is not requested yet
     job: Job | None = None  # requested, not adopted yet
-    decided: int = OPEN  # state of the job: see windows.OPEN
-    late_ns: int = 0  # by how much the last decided fit was late
-    distance: float = 0.0  # m, since the last window
-    last_pose_ns: int = 0
-    informed_ns: int = 0
-    sound_ns: int = 0  # until when data have been sound, without a silence of STALE_S since the last window
-    published_ns: int = 0
-    window_s: float = 0.0
-    fits: int = 0
-    late: int = 0
-    changes: int = 0
-    refused: dict[Code, int] = field(default_factory=dict)
-    has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     last: Fit | None = None
     advisor: Advisor = field(default_factory=Advisor)
-    reason: Code | None = None
-    events: list[tuple[str, Notice]] = field(default_factory=list)  # with kinds, not taken yet
 
 
 def initial(machine: Machine) -> PemState:
@@ -136,11 +114,7 @@ def initial(machine: Machine) -> PemState:
 
 def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
     """Take one segment; an estimate each REPORTING.publish_ns."""
-    seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else 0.0
-    state.last_pose_ns = pose.t_ns
-    state.distance += min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
-    if segment is not None and segment.reason in WAYS_OF_DRIVING and _stale(state, pose.t_ns) is None:
-        state.sound_ns = pose.t_ns
+    fitted.drive_on(state, pose, segment)
     if not collect(state, pose.t_ns, segment, REPORTING.publish_ns, PEM.least_steering, _wheel_zero(state)):
         return None
     if state.fits:
@@ -161,11 +135,6 @@ def finish(state: PemState) -> None:
 
 def _wheel_zero(state: PemState) -> float:
     return float(state.mean[AT["wheel_zero"]])
-
-
-def _stale(state: PemState, t_ns: int) -> Reason | None:
-    """Why numbers are stale."""
-    return stale_reason(Code.NO_SOUND_DATA_FOR, age_s(max(state.informed_ns, state.sound_ns), t_ns))
 
 
 def request_fit(state: PemState, t_ns: int) -> Job | None:
@@ -195,9 +164,7 @@ def _errors_in_common(state: PemState, record: Record, point: Array) -> Array:
 
 def drifted(state: PemState) -> Array:
     """The covariance, (n, n), after the distance since the last window."""
-    covariance = state.covariance.copy()
-    drift(covariance, np.arange(6), retained_share(state.distance), state.prior_sd)
-    return covariance
+    return method_state.drifted(state, state.covariance, state.distance)
 
 
 def fit(machine: Machine, job: Job) -> Fit:
@@ -339,18 +306,10 @@ def refusal(found: Found, prior_mean: Array, prior_sd: Array) -> Code | None:
 
 def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Estimate:
     """Adopt the result of the pending job; made: None if there is none. Returns the estimate after it."""
-    job, state.job, state.decided = state.job, None, OPEN
-    if made is None or job is None:
-        state.late += 1
-        state.events.append((EventKind.FIT, reasoned(late_reason(state.late_ns, False))))
-        return estimate(state, machine, t_ns)
-    if state.late_ns:
-        state.late += 1
-        state.events.append((EventKind.FIT, reasoned(late_reason(state.late_ns, True))))
-    state.last = made
-    if made.refused:
-        refuse(state, made.refused)
-        state.events.append((EventKind.FIT, reasoned(Reason(made.refused))))
+    job, state.job = state.job, None
+    made = made if job else None
+    used, state.last = fitted.is_used(state, made), made or state.last
+    if job is None or made is None or not used:
         return estimate(state, machine, t_ns)
     if made.changed:
         state.changes += 1
@@ -396,29 +355,17 @@ def clock_stepped(state: PemState, by_ns: int) -> None:
     age."""
     state.window.clear()
     state.closed = state.job = None
-    state.decided = OPEN
-    state.last_pose_ns = state.published_ns = 0
-    state.informed_ns += by_ns if state.informed_ns else 0
-    state.sound_ns += by_ns if state.sound_ns else 0
+    fitted.clock_stepped(state, by_ns)
 
 
 def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
     """The estimate at t_ns."""
     last = state.last
-    excitation = {
-        "fits": float(state.fits),
-        "late": float(state.late),
-        "soil_changes": float(state.changes),
-        "held_out_gain": last.gain if last else 0.0,
-        "whiteness": last.whiteness if last else 0.0,
-        "cost": last.cost if last else 0.0,
-        "iterations": float(last.iterations) if last else 0.0,
-    }
-    if state.late_ns:
-        excitation["late_s"] = state.late_ns * 1e-9
+    own = {"held_out_gain": last.gain if last else 0.0, "whiteness": last.whiteness if last else 0.0}
     return six_parameter_estimate(
-        state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], Code.NOTHING_FITTED, excitation,
-        state.advisor.advice, _stale(state, t_ns),
+        state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], Code.NOTHING_FITTED,
+        fitted.excitation(state, own, last, last.iterations if last else 0), state.advisor.advice,
+        fitted.stale(state, t_ns),
     )  # fmt: skip
 
 

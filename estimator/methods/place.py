@@ -23,6 +23,7 @@ from tilth.estimator.filters.unknowns import SIX, Vector
 from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
+from tilth.estimator.results.method_state import SixState
 from tilth.estimator.results.recommend import PATCHY
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
@@ -181,20 +182,6 @@ def _apart(one: SoilWindow, other: SoilWindow) -> float:
     return float(max(between.min(axis=0).mean(), between.min(axis=1).mean()))
 
 
-@dataclass(slots=True)
-class _Learned:
-    """As reporting.Learning."""
-
-    mean: Array
-    covariance: Array
-    prior_mean: Array
-    prior_sd: Array
-    has_number: list[bool]
-    informed_ns: int
-    window_s: float
-    reason: Code | None = None
-
-
 def estimate(state: PlaceState, machine: Machine, t_ns: int) -> Estimate:
     """The estimate at t_ns, of where the rig is."""
     return estimate_at(state, machine, t_ns, state.axles, state.has_number)
@@ -215,9 +202,9 @@ def estimate_at(
         covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
         shares = soil.shares(axles, [window.passing == state.passing for window in state.windows])
         of_place = SoilPlace(*to_degrees(state.origin_deg, *axles[1].tolist()), there.length_m, *shares)
-    learned = _Learned(
-        mean, covariance, state.prior_mean, state.prior_sd, had,
-        state.informed_ns if of_place else 0, state.window_s,
+    learned = SixState(
+        mean, covariance, state.prior_mean, state.prior_sd,
+        informed_ns=state.informed_ns if of_place else 0, window_s=state.window_s, has_number=had,
     )  # fmt: skip
     excitation = {"windows": float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
     made = six_parameter_estimate(

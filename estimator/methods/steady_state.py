@@ -38,11 +38,17 @@ from tilth.estimator.record.record import Segment
 from tilth.estimator.record.steady_driving import STEADY_DRIVING, Steadiness, SteadySample, observe
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import ADVICE
+from tilth.estimator.results.method_state import MethodState, is_due, step_clock
 from tilth.estimator.results.reporting import (
+    OVER,
     REPORTING,
     age_s,
+    condition_number,
+    is_supported,
+    log_sds_over_masses,
     nothing_yet,
     nuisance_sd,
+    of_the_mass,
     parameter,
     per_mass,
     stale_reason,
@@ -51,7 +57,7 @@ from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
@@ -111,7 +117,7 @@ _RELAXATION = ParameterEstimate(None, None, Status.UNESTIMATED, Reason(Code.NO_R
 
 
 @dataclass(slots=True)
-class SteadyState:
+class SteadyState(MethodState):
     """State of the filter. Times ns. P: covariance of x."""
 
     x: OfStates
@@ -126,17 +132,12 @@ class SteadyState:
     steadiness: Steadiness = field(default_factory=Steadiness)
     previous: SteadySample | None = None  # the sample before, of the same turn
     last_pose_ns: int = 0
-    informed_ns: int = 0
-    published_ns: int = 0
     steady_s: float = 0.0  # of turning, used
     sideslip_s: float = 0.0
     largest_angle: float = 0.0  # of the wheels, that stiffnesses were learned at, rad
     mean_nis: float = 1.0  # recent mean of the normalised innovation squared per output; 1 is as expected
     forgotten: int = 0  # times that the stiffnesses were reset
-    refused: dict[Code, int] = field(default_factory=dict)  # reason -> poses
-    reason: Code | None = None  # why the latest pose was refused
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
-    events: list[tuple[str, Notice]] = field(default_factory=list)  # with kinds, not taken yet
 
 
 def initial(machine: Machine) -> SteadyState:
@@ -171,9 +172,8 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
         state.refused[state.reason] = state.refused.get(state.reason, 0) + 1
     elif sample is not None and _update(state, machine, sample):
         state.informed_ns = pose.t_ns
-    if pose.t_ns - state.published_ns < REPORTING.publish_ns:
+    if not is_due(state, pose.t_ns, REPORTING.publish_ns):
         return None
-    state.published_ns = pose.t_ns
     _find_posterior(state)
     _update_supported(state)
     return estimate(state, machine, pose.t_ns)
@@ -182,8 +182,8 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
 def clock_stepped(state: SteadyState, by_ns: int) -> None:
     """The log's clock stepped back: discard the present block, keep the posterior and its age."""
     state.steadiness, state.previous = Steadiness(), None
-    state.last_pose_ns = state.published_ns = 0
-    state.informed_ns += by_ns if state.informed_ns else 0
+    step_clock(state, by_ns)
+    state.last_pose_ns = 0
 
 
 def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
@@ -389,11 +389,10 @@ def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> 
     A direction counts in the rank if its sd is below the share `supported` of the prior's.
     """
     scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
-    values = np.linalg.eigvalsh(advice.information_of(state.log_covariance, state.prior_sd[:3]) * scale)
+    information = advice.information_of(state.log_covariance, state.prior_sd[:3])
+    values = np.asarray(np.linalg.eigvalsh(information * scale), np.float64)
     rank = int(np.sum(values > supported**-2 - 1.0))
-    if values[0] <= 0:
-        return rank, None
-    return rank, float(values[-1] / values[0])
+    return rank, condition_number(values)
 
 
 def _update_supported(state: SteadyState) -> None:
@@ -410,7 +409,16 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     information = advice.information_of(state.log_covariance, state.prior_sd[:3])
     bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
-    parameters = tuple(_parameter(state, k, rank, age) for k in range(3))
+    over_sds = _over_masses(state)
+    over = [
+        age is not None and rank == 3 and is_supported(had, sd, own)
+        for had, sd, own in zip(state.supported, over_sds, state.prior_sd[:3].tolist(), strict=True)
+    ]
+    parameters = tuple(
+        _parameter(state, k, rank, age, of_the_mass(k, _mass_sd(state, k), over_sds[k]) if over[k] else None)
+        for k in range(3)
+    )
+    masses = per_mass(machine, state.logs.tolist(), over_sds, over)
     prior_mean, prior_sd = unknowns.prior(machine)
     covariance = np.diag(prior_sd[unknowns.SIX] ** 2)
     covariance[:3, :3] = state.log_covariance
@@ -420,7 +428,8 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         model=MODEL,
         parameters=(*parameters, _RELAXATION, _RELAXATION, _RELAXATION),
         log_covariance=tuple(covariance.ravel().tolist()),
-        per_mass=per_mass(machine, parameters),
+        per_mass=masses.values,
+        per_mass_sd=masses.sds,
         nuisances={
             name: (
                 float(state.x[AT[name]]),
@@ -444,9 +453,25 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     )
 
 
-def _parameter(state: SteadyState, k: int, rank: int, age: float | None) -> ParameterEstimate:
-    """One stiffness, with a number only if the data support it."""
-    missing = nothing_yet(Code.NO_STEADY_TURN_YET, state.reason) if age is None else _missing(state, rank)
+def _over_masses(state: SteadyState) -> list[float]:
+    """Sds of the logarithms over the masses. The first states are compliances: they err the other way."""
+    covariance = state.P.copy()
+    covariance[:3] *= -np.exp(state.logs - state.prior_logs)[:, None]
+    return log_sds_over_masses(np.diag(state.log_covariance).tolist(), covariance, AT)
+
+
+def _mass_sd(state: SteadyState, k: int) -> float:
+    m = AT.get(OVER[k])
+    return 0.0 if m is None else math.sqrt(state.P[m, m])
+
+
+def _parameter(
+    state: SteadyState, k: int, rank: int, age: float | None, of_mass: Reason | None
+) -> ParameterEstimate:
+    """One stiffness, with a number only if the data support it. of_mass: why not, where it is the mass."""
+    missing = of_mass or _missing(state, rank)
+    if age is None:
+        missing = nothing_yet(Code.NO_STEADY_TURN_YET, state.reason)
     stale = stale_reason(Code.NO_STEADY_DRIVING_FOR, age)
     sd_log = math.sqrt(state.log_covariance[k, k])
     return parameter(state.logs[k], sd_log, state.supported[k], age, missing, stale)

@@ -38,19 +38,18 @@ from tilth.estimator.filters.unknowns import (
     NEED_STEERING,
     NOISE,
     SIX,
-    Matrix,
-    Vector,
 )
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
+from tilth.estimator.results.method_state import SixState, is_due, step_clock
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
 from tilth.estimator.results.reporting import REPORTING, age_s, six_parameter_estimate, stale_reason
 from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code
 
@@ -103,13 +102,10 @@ TRACKER: Final = TrackerTuning()
 
 
 @dataclass(slots=True)
-class TrackerState:
-    """Arrays in the order of unknowns.NAMES, x in that of filters.states; times ns, distances m."""
+class TrackerState(SixState):
+    """x in the order of filters.states. `distance` is all over which it has run, `window_s` since the last
+    change of soil."""
 
-    mean: Vector
-    covariance: Matrix
-    prior_mean: Vector
-    prior_sd: Vector
     x: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
     instrument: MotionVector = field(default_factory=lambda: np.zeros(N_STATES))
     """x as it would be by steering alone, with the unknowns as they are estimated."""
@@ -140,21 +136,11 @@ class TrackerState:
     counts: Annotated[Array, Shape((3,))] = field(
         default_factory=lambda: np.zeros(3)
     )  # rows by USED, GATED, BAD
-    distance: float = 0.0  # m, over which it has run
-    window_s: float = 0.0  # duration of what was learned from since the last change of soil
-    tight_s: float = 0.0  # duration of tight turns in it
+    tight_s: float = 0.0  # duration of tight turns in `window_s`
     hard: float = 0.0  # integral of the squared lateral acceleration over it, m^2/s^3
-    last_pose_ns: int = 0
-    informed_ns: int = 0
-    published_ns: int = 0
     changed_ns: int = 0
-    changes: int = 0
     restarts: int = 0
-    refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments
-    has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     advisor: Advisor = field(default_factory=Advisor)
-    reason: Code | None = None  # why soil and tyres were not learned from the latest segment
-    events: list[tuple[str, Notice]] = field(default_factory=list)  # with kinds, not taken yet
     considered: list[int] = field(default_factory=lambda: list(unknowns.MASSES))  # unknowns never learned
     needs_steering: list[int] = field(
         default_factory=lambda: list(NEED_STEERING)
@@ -187,9 +173,8 @@ def take(state: TrackerState, machine: Machine, pose: Pose, segment: Segment | N
     state.last_pose_ns = pose.t_ns
     if segment is not None:
         take_segment(state, machine, segment)
-    if pose.t_ns - state.published_ns < REPORTING.publish_ns:
+    if not is_due(state, pose.t_ns, REPORTING.publish_ns):
         return None
-    state.published_ns = pose.t_ns
     speed = abs(pose.tractor.forward_velocity or 0.0)
     advice.renew(state.advisor, machine, state.mean, state.covariance, speed, pose.t_ns, False)
     return estimate(state, machine, pose.t_ns)
@@ -412,8 +397,8 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
     """The log's clock stepped back: discard the motion state, keep the posterior and its age."""
     state.pending, state.running = None, False
     state.ticks_before = np.zeros((0, 8))
-    state.last_pose_ns = state.published_ns = 0
-    state.informed_ns += by_ns if state.informed_ns else 0
+    step_clock(state, by_ns)
+    state.last_pose_ns = 0
     state.changed_ns += by_ns if state.changed_ns else 0
 
 

@@ -16,12 +16,12 @@ from tilth.estimator.filters.two_step_fit import TwoStep, Window, identify, merg
 from tilth.estimator.models.parameters import geometry_of
 from tilth.estimator.record.record import TICK_NS, Record, Segment
 from tilth.estimator.record.windows import OPEN, close_window, collect, refuse
+from tilth.estimator.results.method_state import MethodState, step_clock
 from tilth.estimator.results.reporting import MODEL, age_s, per_mass
 from tilth.estimator.state_json import Shape
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code, Reason
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Job:
 
 
 @dataclass(slots=True)
-class TwoStepState:
+class TwoStepState(MethodState):
     """The present window, and the merged results of those before. Times ns."""
 
     window: list[Segment] = field(default_factory=list)
@@ -64,13 +64,8 @@ class TwoStepState:
     runs: OfSix = field(default_factory=lambda: np.zeros(6))  # number of windows merged into each
     rank: int = 0  # of the last window
     window_s: float = 0.0
-    informed_ns: int = 0
-    published_ns: int = 0
     late: int = 0  # fits that came too late
-    refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments, or windows
-    reason: Code | None = None  # why nothing is collected now
     failure: Code | None = None  # why the last window gave no result
-    events: list[tuple[str, Notice]] = field(default_factory=list)  # none so far
 
 
 def initial(machine: Machine) -> TwoStepState:
@@ -147,13 +142,18 @@ def estimate(state: TwoStepState, machine: Machine, t_ns: int) -> Estimate:
     excitation = {"runs": float(state.runs.max()), "late": float(state.late)}
     if state.late_ns:
         excitation["late_s"] = state.late_ns * 1e-9
+    given = [p.value is not None for p in parameters[:3]]
+    masses = per_mass(
+        machine, np.log(np.maximum(state.values[:3], 1e-9)).tolist(), log_sds[:3].tolist(), given
+    )
     return Estimate(
         t_ns=t_ns,
         method=METHOD,
         model=MODEL,
         parameters=parameters,
         log_covariance=tuple(np.diag(log_sds**2).ravel().tolist()),  # the method has no correlations
-        per_mass=per_mass(machine, parameters),
+        per_mass=masses.values,
+        per_mass_sd=masses.sds,
         rank=state.rank,
         excitation=excitation,
         window_s=state.window_s,
@@ -173,5 +173,4 @@ def clock_stepped(state: TwoStepState, by_ns: int) -> None:
     state.window.clear()
     state.closed = state.job = None
     state.decided = OPEN
-    state.published_ns = 0
-    state.informed_ns += by_ns if state.informed_ns else 0
+    step_clock(state, by_ns)

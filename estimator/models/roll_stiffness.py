@@ -16,6 +16,8 @@ class RollTuning:
 
     damping: float = tuned(0.08, "1", "of the roll modes")
     gyration: float = tuned(0.044, "m/kg^(1/3)", "a tractor's in roll: 0.93 m of one of 9.4 t")
+    axle_share: float = tuned(0.07, "1", "of the tractor's mass: front axle with wheels, not in `gyration`")
+    axle_gyration: float = tuned(0.75, "1", "of that axle in roll, over half its track")
     cart_gyration: float = tuned(0.48, "1", "an implement's, over its track")
     least_upright: float = tuned(0.2, "1", "of its tyres' roll stiffness, that gravity leaves a body")
 
@@ -45,6 +47,9 @@ def nominal_roll(machine: Machine) -> RollModes:
     k_t = _left(rear.roll_stiffness, rig.g * rig.m_t * rig.h_t - on_pivot)
     k_i = _left(implement.roll_stiffness, rig.g * rig.m_i * rig.h_i)
     j_t = rig.m_t * (ROLL.gyration * math.cbrt(rig.m_t)) ** 2
+    if (told := machine.tractor.front_axle_mass) is not None:  # it tips about its pin, and not with the body
+        usual = ROLL.axle_share * rig.m_t
+        j_t -= (told.value - usual) * (ROLL.axle_gyration * rig.w_f / 2) ** 2
     j_i = rig.m_i * (ROLL.cart_gyration * rig.w_i) ** 2
     d_t = 2 * ROLL.damping * math.sqrt(k_t * (j_t + rig.m_t * rig.h_t**2))
     d_i = 2 * ROLL.damping * math.sqrt(k_i * (j_i + rig.m_i * rig.h_i**2))

@@ -127,15 +127,17 @@ def take_stamp(time: LogTime, frame: Frame) -> int | None:
     if side:
         return _off_time_frame(time, frame, side)
     t_ns, latest_ns = frame.t_ns, time.latest_ns
-    if latest_ns:
-        advance_ns = max(0, t_ns - latest_ns)
-        if advance_ns:
-            time.step_ns = min(time.step_ns or advance_ns, advance_ns)
+    advance_ns = t_ns - latest_ns
+    if latest_ns and advance_ns > 0:
+        time.step_ns = min(time.step_ns or advance_ns, advance_ns)
         time.passed_ns += advance_ns
         kept_ns = time.gap_ns - time.gap_ns * min(advance_ns, LOG_TIME.gap_lasts_ns) // LOG_TIME.gap_lasts_ns
         time.gap_ns = max(min(advance_ns, LOG_TIME.silence_ns), kept_ns)
-    time.bus_ns[frame.bus] = max(t_ns, time.bus_ns.get(frame.bus, 0))
-    time.latest_ns = max(t_ns, latest_ns)
+    bus_ns = time.bus_ns.get(frame.bus)
+    if bus_ns is None or t_ns > bus_ns:
+        time.bus_ns[frame.bus] = max(t_ns, 0)
+    if advance_ns > 0:
+        time.latest_ns = t_ns
     _support(time, frame)
     if time.offset_ns:
         _follow(time, frame)
@@ -174,20 +176,23 @@ def _side(time: LogTime, frame: Frame) -> int:
     """Where the frame is: 0 at the log's time, -1 before it, 1 after it."""
     if not time.latest_ns:
         return 0
-    if frame.t_ns < time.latest_ns - LOG_TIME.out_of_order_ns:
+    t_ns, rx_ns, latest_ns, usual_ns = frame.t_ns, frame.rx_ns, time.latest_ns, LOG_TIME.out_of_order_ns
+    if t_ns < latest_ns - usual_ns:
         return -1
-    # A frame that waited in a queue is no sign of a silence.
-    return 1 if min(frame.rx_ns, frame.t_ns) > time.latest_ns + _usual_gap_ns(time) else 0
+    # A frame that waited in a queue is no sign of a silence. No usual gap is below what is out of order.
+    late_ns = (rx_ns if rx_ns < t_ns else t_ns) - latest_ns
+    return 1 if late_ns > usual_ns and late_ns > _usual_gap_ns(time) else 0
 
 
 def _is_apart(time: LogTime, frame: Frame) -> bool:
     """Whether the frame is of a bus that has been apart from the others by nearly the same since it was first
     heard beside them. When that has lasted, the bus is aligned."""
-    bus, others = frame.bus, [ns for name, ns in time.bus_ns.items() if name != frame.bus]
+    bus = frame.bus
     if bus not in time.near:
         time.near = dict.fromkeys((*time.near, bus), 0)  # what was heard before it was beside nobody
-    if not others or time.near[bus] >= LOG_TIME.certain:
+    if time.near[bus] >= LOG_TIME.certain or len(time.bus_ns) <= (bus in time.bus_ns):
         return False
+    others = [ns for name, ns in time.bus_ns.items() if name != bus]
     off_ns, apart = frame.t_ns - max(others), time.apart.get(bus)
     if not LOG_TIME.lag_ns < abs(off_ns) < LOG_TIME.most_lag_ns or (apart is None and time.last_bus == bus):
         time.near[bus] += abs(off_ns) <= LOG_TIME.lag_ns

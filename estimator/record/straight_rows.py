@@ -1,9 +1,10 @@
 """Rows of straight driving, collected segment by segment, for a fit of several of them together.
 
 A row is driving without a gap in which wheels, headings and articulation stay near those of straight driving.
-Rows are collected into a block. A block is fitted when it is long enough for a first number, again when it is
-longer, and for the last time when it is full; then the next one begins. So a second of driving is in one
-block only.
+What the wheels read when straight is the mean of the row so far, whatever the file says of the zero: where
+headings stay within 6 degrees over 100 m, it is within 0.2 degrees of straight on. Rows are collected into a
+block. A block is fitted when it is long enough for a first number, again when it is longer, and for the last
+time when it is full; then the next one begins. So a second of driving is in one block only.
 """
 
 import math
@@ -22,7 +23,7 @@ from tilth.schemas.reasons import Code
 class RowTuning:
     """What is a straight row, and when rows are fitted."""
 
-    straight: float = tuned(math.radians(4.0), "rad", "largest wheel angle in a row")
+    straight: float = tuned(math.radians(4.0), "rad", "by which a wheel angle may leave the row's mean")
     """Steering corrections are less than 2 degrees; at 4 the response is in proportion to 1 %."""
     largest_turn: float = tuned(math.radians(6.0), "rad", "by which headings may leave the row's first one")
     folded: float = tuned(math.radians(5.0), "rad", "largest articulation in a row")
@@ -42,6 +43,7 @@ class Block:
 
     row: list[Segment] = field(default_factory=list)  # the present one
     heading: float = 0.0  # rad, at its beginning
+    wheel: float = 0.0  # rad, mean reading of the wheel angle in it
     complete: list[Record] = field(default_factory=list)
     fitted_s: float = 0.0  # so much of it has been fitted
     refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments
@@ -60,7 +62,9 @@ def observe(block: Block, segment: Segment | None) -> None:
     if segment is None:
         return
     block.reason = segment.reason
-    if segment.reason is None and not _is_straight(segment):
+    reading = float(np.mean(segment.record.ticks[:, WHEEL_ANGLE])) if segment.reason is None else 0.0
+    begins = not block.row or not segment.follows
+    if segment.reason is None and not _is_straight(segment, reading if begins else block.wheel):
         block.reason = Code.NOT_STRAIGHT
     if block.reason is not None:
         _count(block, block.reason)
@@ -74,6 +78,7 @@ def observe(block: Block, segment: Segment | None) -> None:
     if not block.row:
         block.heading = heading
     block.row.append(segment)
+    block.wheel += (reading - block.wheel) / len(block.row)
 
 
 def end_row(block: Block) -> None:
@@ -112,8 +117,9 @@ def _count(block: Block, reason: Code) -> None:
     block.refused[reason] = block.refused.get(reason, 0) + 1
 
 
-def _is_straight(segment: Segment) -> bool:
+def _is_straight(segment: Segment, straight_on: float) -> bool:
+    """straight_on: rad, what the wheels read when straight."""
     ticks = segment.record.ticks
-    turned = np.max(np.abs(ticks[:, WHEEL_ANGLE]))
+    turned = np.max(np.abs(ticks[:, WHEEL_ANGLE] - straight_on))
     folded = np.max(np.abs(ticks[:, PSI] - ticks[:, PSI + 1]))
     return bool(turned <= ROWS.straight and folded <= ROWS.folded)

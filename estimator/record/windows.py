@@ -40,12 +40,17 @@ TAKEN, DROPPED, AWAITED, OPEN = 1, -1, 2, 0
 """State of a requested fit: will be used, will not be used, late and waited for, not decided yet."""
 
 
-class Collecting(Protocol):
+class Refusing(Protocol):
+    """State that counts what nothing may be learned from."""
+
+    refused: dict[Code, int]  # reason -> number of poses, segments, windows or fits
+
+
+class Collecting(Refusing, Protocol):
     """State of a method that fits windows. Times ns."""
 
     window: list[Segment]  # the present window
     closed: Record | None  # a complete window whose fit is not requested yet
-    refused: dict[Code, int]  # reason -> number of segments, or of windows
     reason: Code | None  # why nothing is collected now
     published_ns: int
 
@@ -177,6 +182,6 @@ def late_reason(late_ns: int, used: bool) -> Reason:
     return Reason(Code.FIT_LATE if used else Code.FIT_GIVEN_UP, numbers=(late_ns * 1e-9,))
 
 
-def refuse(state: Collecting, reason: Code) -> None:
-    """Count a segment or window from which nothing may be learned."""
+def refuse(state: Refusing, reason: Code) -> None:
+    """Count something from which nothing may be learned."""
     state.refused[reason] = state.refused.get(reason, 0) + 1

@@ -15,8 +15,13 @@ from tilth.schemas.reasons import Code, Reason
 RECOMMENDED: Final = "recommended"
 PREFERRED: Final = ("pem", "tracker", "steady_state")
 """Best first: pem uses every sample of a window, tracker follows changes at once, steady_state is for driving
-from which neither can learn. Before them comes `place`, once a field has shown that its soil differs. No
-other method is recommended; of `rows` too little is known (docs/rows.md)."""
+from which neither can learn. No other method is recommended, but for PLACE and ROWS."""
+PLACE: Final = "place"
+"""Before all others once a field has shown that its soil differs from place to place."""
+ROWS: Final = "rows"
+"""Before PREFERRED where it knows more than the best of them: it learns from driving that tells them
+nothing, and at the angles at which a controller works."""
+OFFERED: Final = (PLACE, ROWS, *PREFERRED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +69,7 @@ def recommend(estimates: Mapping[str, Estimate], t_ns: int, disagree: bool = Fal
         first = (preferred or [e for m, e in estimates.items() if m != RECOMMENDED])[0]
         return _copy_as_recommended(first, estimates, t_ns, Reason(Code.NO_METHOD))
     best, rule = usable[0]
-    if disagree:
+    if disagree and best.method in PREFERRED:  # it is among these that methods disagree
         others = dict.fromkeys(e.method for e, _ in usable if e.method != best.method)
         rule = Reason(Code.KNOWS_MORE, (best.method, *others))
     return _copy_as_recommended(best, estimates, t_ns, rule)
@@ -92,7 +97,7 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
 
 def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reason]]:
     """(estimate, rule by which it is chosen), best first; one method may come twice."""
-    of_place = estimates.get("place")
+    of_place = estimates.get(PLACE)
     if of_place is not None and _is_finite(of_place) and _usable_parameters(of_place, Status.ESTIMATED):
         patchy = of_place.excitation.get(PATCHY, 0.0)
         if patchy > RECOMMENDATION.patchy:
@@ -100,6 +105,41 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
                 rig = estimates["pem"]
                 of_place = replace(of_place, nuisances=rig.nuisances, advice=rig.advice)
             yield of_place, Reason(Code.IN_PATCHES, (of_place.method,), (patchy,))
+    others, rows = list(_of_preferred(estimates)), estimates.get(ROWS)
+    rule = None if rows is None else _before_others(rows, others[0][0] if others else None, estimates)
+    if rows is not None and rule is not None:
+        yield rows, rule
+    yield from others
+
+
+def _before_others(
+    rows: Estimate, other: Estimate | None, estimates: Mapping[str, Estimate]
+) -> Reason | None:
+    """Why `rows` comes before the best other estimate; None where it does not.
+
+    It has all numbers that the other one has, and knows them better on average. Of steady_state the first is
+    enough.
+    """
+    known = _usable_parameters(rows, Status.ESTIMATED)
+    if not known or not _is_finite(rows) or _since_change(estimates) < _age(rows):
+        return None
+    told = set() if other is None else _usable_parameters(other, Status.ESTIMATED)
+    if other is None or not told or (other.method == PREFERRED[-1] and known >= told):
+        return Reason(Code.ROWS_ALONE, (rows.method,))
+    sd, of_other = _mean_sd(rows, told), _mean_sd(other, told)
+    if known >= told and sd < of_other:
+        return Reason(Code.ROWS_KNOW_MORE, (rows.method, other.method), (sd, of_other))
+    return None
+
+
+def _mean_sd(estimate: Estimate, parameters: set[int]) -> float:
+    """Geometric mean of the sds of the logarithms of some of the six."""
+    variances = np.diag(np.reshape(estimate.log_covariance, (6, 6)))[sorted(parameters)]
+    return float(np.exp(0.5 * np.mean(np.log(variances))))
+
+
+def _of_preferred(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reason]]:
+    """The same of PREFERRED."""
     sound = [estimates[m] for m in PREFERRED if m in estimates and _is_finite(estimates[m])]
     by_method = {e.method: e for e in sound}
     pem, tracker = by_method.get("pem"), by_method.get("tracker")

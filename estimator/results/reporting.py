@@ -1,9 +1,9 @@
 """From a method's posterior to its published estimate: which parameters have a number, its age and status."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from tilth.estimator.filters.unknowns import AT, NAMES, SIX, UNKNOWNS
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import ADVICE
+from tilth.estimator.results.method_state import SixState
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Code, Reason
 
 Array = NDArray[np.float64]
@@ -31,34 +31,16 @@ class ReportingTuning:
     withdrawn: float = tuned(0.6, "1", "posterior over prior sd, above which a number is withdrawn")
     largest_deviation: float = tuned(4.5, "sd", "of the prior: a value further from its mean is no tyre's")
     rank_gain: float = tuned(3.0, "1", "information over the prior's, for a direction to be determined")
+    worst_condition: float = tuned(1e9, "1", "of what the data determine; beyond, it is rounding that speaks")
 
 
 REPORTING: Final = ReportingTuning()
 
 
-class Learning(Protocol):
-    """State of a method that learns unknowns.NAMES, arrays in their order. Times ns."""
-
-    mean: Array
-    covariance: Array
-    prior_mean: Array
-    prior_sd: Array
-    has_number: list[bool]  # whether each of the six had a number in the last estimate
-    informed_ns: int  # when it last learned from data, 0: never
-    window_s: float
-    reason: Code | None  # why nothing is learned now
-
-
-class Reporting(Protocol):
-    """State of a method that reports events."""
-
-    events: list[tuple[str, Notice]]  # with their kinds, not taken yet
-
-
-def take_events(state: Reporting) -> list[tuple[str, Notice]]:
-    """(kind, notice) of a method's events since the last call."""
-    events, state.events = state.events, []
-    return events
+def condition_number(eigenvalues: Array) -> float | None:
+    """Largest over smallest of an information's; None where a direction is not determined at all."""
+    largest, smallest = float(eigenvalues.max()), float(eigenvalues.min())
+    return largest / smallest if smallest * REPORTING.worst_condition > largest else None
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:
@@ -89,10 +71,45 @@ def parameter(
     return ParameterEstimate(value, value * sd_log, Status.ESTIMATED, None, age)
 
 
-def per_mass(machine: Machine, parameters: Sequence[ParameterEstimate]) -> tuple[float | None, ...]:
-    """Cornering stiffnesses over the mass of their body, N/(rad kg)."""
+OVER: Final = ("m_t", "m_t", "m_i")
+"""Over which mass each stiffness is published as well, by names of the unknowns."""
+_KEYS: Final = {"m_t": "tractor.mass", "m_i": "implement.mass"}
+
+
+class PerMass(NamedTuple):
+    """Cornering stiffnesses over the mass of their body, N/(rad kg), with their sds; (3,) of each."""
+
+    values: tuple[float | None, ...]
+    sds: tuple[float | None, ...]
+
+
+def per_mass(
+    machine: Machine, logs: Sequence[float], log_sds: Sequence[float], given: Sequence[bool]
+) -> PerMass:
+    """logs: of the stiffnesses. log_sds: of those over the masses, without what is not known of the masses.
+    given: which of them have numbers."""
     masses = (machine.tractor.mass.value, machine.tractor.mass.value, machine.implement.mass.value)
-    return tuple(p.value / m if p.value else None for p, m in zip(parameters[:3], masses, strict=True))
+    values = tuple(
+        math.exp(log) / mass if has else None for log, mass, has in zip(logs, masses, given, strict=True)
+    )
+    sds = tuple(None if v is None else v * sd for v, sd in zip(values, log_sds, strict=True))
+    return PerMass(values, sds)
+
+
+def log_sds_over_masses(variances: Sequence[float], covariance: Array, at: Mapping[str, int]) -> list[float]:
+    """Sds of the logarithms of the three stiffnesses over the masses. variances: (3,), of the published
+    logarithms; covariance: (n, n), of which those with the masses are used; at: places of names in it."""
+    out = []
+    for k, (variance, mass) in enumerate(zip(variances, OVER, strict=True)):
+        m = at.get(mass)
+        with_mass = 0.0 if m is None else float(covariance[m, m] - 2.0 * covariance[k, m])
+        out.append(math.sqrt(max(variance + with_mass, 0.0)))
+    return out
+
+
+def of_the_mass(k: int, mass_sd: float, over_sd: float) -> Reason:
+    """Why a stiffness has no number where it has one over the mass. Both sds of logarithms."""
+    return Reason(Code.OF_THE_MASS, (_KEYS[OVER[k]],), (mass_sd, over_sd))
 
 
 def nothing_yet(code: Code, now: Code | None) -> Reason:
@@ -116,7 +133,7 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
 
 
 def six_parameter_estimate(
-    state: Learning, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
+    state: SixState, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
     excitation: dict[str, float], advised: Advice | None, stale: Reason | None,
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
@@ -129,21 +146,30 @@ def six_parameter_estimate(
     eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
     parameters = []
+    over_sds = log_sds_over_masses(np.diag(covariance)[:3].tolist(), state.covariance, AT)
+    over = [
+        age is not None and is_supported(had, sd, own)
+        for had, sd, own in zip(state.has_number, over_sds, prior_sd[:3].tolist(), strict=False)
+    ]
     for k in range(6):
         state.has_number[k] = age is not None and is_supported(state.has_number[k], sds[k], prior_sd[k])
         too_wide = Reason(Code.WIDE, numbers=(float(sds[k]),))
+        if k < 3 and over[k]:
+            too_wide = of_the_mass(k, float(state.prior_sd[AT[OVER[k]]]), over_sds[k])
         missing = nothing_yet(nothing, state.reason) if age is None else too_wide
         parameters.append(parameter(state.mean[k], float(sds[k]), state.has_number[k], age, missing, stale))
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     moved = state.mean - state.prior_mean
     bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior_sd))
+    masses = per_mass(machine, state.mean[:3].tolist(), over_sds, over)
     return Estimate(
         t_ns=t_ns,
         method=method,
         model=MODEL,
         parameters=tuple(parameters),
         log_covariance=tuple(covariance.ravel().tolist()),
-        per_mass=per_mass(machine, parameters),
+        per_mass=masses.values,
+        per_mass_sd=masses.sds,
         nuisances={
             NAMES[k]: (
                 float(state.mean[k]),
@@ -153,7 +179,7 @@ def six_parameter_estimate(
             if k > 5
         },
         rank=int(np.sum(eigenvalues > REPORTING.rank_gain)),
-        condition=float(eigenvalues.max() / eigenvalues.min()) if eigenvalues.min() > 0.0 else None,
+        condition=condition_number(eigenvalues),
         excitation=excitation,
         window_s=state.window_s,
         determined=advice.determined(information, prior_sd) if age is not None else (),

@@ -59,6 +59,7 @@ class RigNumber:
     unknown: str = ""  # a row of filters.unknowns; else that of the same name, if there is one
     value: Callable[[Machine], float] | None = None  # filters have the logarithm of it over this
     open_sd: float = 0.0  # prior where it is left open, as wide as people are wrong in a file
+    often: float = 1.0  # how much likelier than another it is wrong in a file
     allowed_sd: float = 0.0  # by which a right file may differ from what driving finds: error of the model
     in_rows: bool = False  # straight driving tells it, too
     cg_of: str = ""  # of BODIES: it is counted from its CG, whose place has an sd of its own
@@ -150,7 +151,7 @@ NUMBERS: Final = (
     ),
     RigNumber(
         "e", "implement.e", added("implement", "e"),
-        open_sd=0.5, allowed_sd=0.15, cg_of="implement",
+        open_sd=0.5, often=4.0, allowed_sd=0.15, cg_of="implement",
     ),
     RigNumber(
         "wheel_zero", "wheel_angle.zero or offset", added("wheel_angle", "zero", math.degrees),
@@ -198,7 +199,7 @@ NUMBERS: Final = (
     ),
     RigNumber(
         "I_i", "implement.yaw_inertia or implement.mass", scaled("implement", "yaw_inertia"),
-        open_sd=0.4, allowed_sd=0.35,
+        open_sd=0.4, often=4.0, allowed_sd=0.35,
     ),
     RigNumber(
         "wheel_speed_factor", "tractor.wheel_speed_factor", adjustments.wheel_speed_factor,
@@ -208,6 +209,8 @@ NUMBERS: Final = (
 """floor_sd is by bench/calibration.py. not_weaved_sd: what the model leaves out of slip in such turns is
 taken for what is late and for places along the body; root mean square errors after four fields of the planar
 virtual tractor, in space they are a third of it.
+
+often: the place of the implement's CG and its inertia change with each load, and no tape tells them.
 
 allowed_sd is from drives with right files. What tells of the implement's mass and yaw inertia themselves are
 small forces between the bodies. The mass came out at half and less in fields with headland turns, in 4 of 10

@@ -42,7 +42,7 @@ from tilth.logger.outlets import Events
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.zenoh.session import free_endpoint
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.notices import in_words
 from tilth.simulator.demo import STOP, DemoError, demo_errors, first_fact, on_loopback
 from tilth.simulator.receivers import ORIGIN_DEG
@@ -98,8 +98,8 @@ def run_guidance(
         events = Events()  # the daemon tells them: in its log, on the page, in the terminal
         watching = _Watching(rig, controller, plan(work, rig_of(machine)), middle(work), fixed, events)
         summary = run_daemon(
-            machine, text, log_folder=log_folder, simulated="tilth demo --guidance", status=display,
-            stop=lambda: watching.over(stop()), events=events,
+            MachineFile(machine, text), log_folder=log_folder, simulated="tilth demo --guidance",
+            status=display, stop=lambda: watching.over(stop()), events=events,
         )  # fmt: skip
     if not watching.end:
         files = " ".join(str(path) for path in summary.log_files)
@@ -116,10 +116,10 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
     """Make ready what the estimators call: here the controller is to have estimates from the start.
     Raises DemoError."""
 
-    def report_progress(share: float) -> None:
+    def report_progress(done: compiling.Done) -> None:
         if stop():
             raise compiling.CompilingStopped
-        if share == 0.0:
+        if not done.functions:
             say(compiling.TEXT)
 
     try:

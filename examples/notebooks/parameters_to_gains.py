@@ -17,7 +17,7 @@ from tilth.logger.machine_file import read_machine
 
 machines = resources.files("tilth.deploy") / "machines"
 with resources.as_file(machines / "jd7930-parker500.toml") as path:
-    machine, _ = read_machine(path)
+    machine = read_machine(path).machine
 
 estimated = {"C_af": (92e3, 4e3), "C_ar": (576e3, 26e3), "C_ai": (68e3, 3e3)}  # N/rad: value, sd
 estimated |= {"sigma_f": (1.48, 0.34), "sigma_r": (1.92, 0.29), "sigma_i": (1.10, 0.45)}  # m

@@ -20,9 +20,10 @@ from tilth.logger.clock import YEARS, Clock
 from tilth.logger.log.lock import lock
 from tilth.logger.status import LOW_HOURS, recording_hours
 from tilth.logger.zenoh.session import refusal, try_session, why
+from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, notice
-from tilth.schemas.plausible import unusual
+from tilth.schemas.plausible import GRAVITY, unusual
 from tilth.schemas.readable import reason_of
 from tilth.schemas.sentences import notice_sentence
 
@@ -51,8 +52,35 @@ def _configuration(machine: Machine) -> Iterator[CheckFinding]:
     mounts = ", ".join(receiver.mount.value.replace("_", " ") for receiver in machine.receiver)
     text = f"{machine.name}: buses: {', '.join(bus.name for bus in machine.bus)}; receivers: {mounts}"
     yield CheckFinding("configuration", Level.OK, text)
+    yield CheckFinding("loads", Level.OK, _loads(machine))
     for rare in unusual(machine):
         yield CheckFinding("machine file", Level.WARNING, rare)
+
+
+def _loads(machine: Machine) -> str:
+    """What a scale would show, at rest on level ground."""
+    tractor, implement = machine.tractor, machine.implement
+    mass = tractor.mass.value, implement.mass.value
+    axles = axle_loads(
+        tractor.a.value,
+        tractor.b.value,
+        tractor.c.value,
+        implement.d.value,
+        implement.e.value,
+        *mass,
+        GRAVITY,
+    )
+    shown = [f"{kilograms:.0f} kg" for kilograms in (*mass, *(load / GRAVITY for load in axles))]
+    ballast = [
+        f"{sum(each.mass.value for each in section.ballast):.0f} kg of ballast on the {body}"
+        for body, section in (("tractor", tractor), ("implement", implement))
+        if section.ballast
+    ]
+    counted = f" (with {' and '.join(ballast)})" if ballast else ""
+    return (
+        f"tractor {shown[0]}, implement {shown[1]}{counted}; on a scale the front axle stands at {shown[2]}, "
+        f"the rear one at {shown[3]}, the implement's at {shown[4]}"
+    )
 
 
 def _listen(machine: Machine, clock: Clock, seconds: float) -> Iterator[CheckFinding]:

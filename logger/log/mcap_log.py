@@ -6,14 +6,10 @@ File order is processing order. Used by the daemon (through run_log.py) and by `
 """
 
 import contextlib
-import hashlib
 import os
-import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, cast
 
@@ -23,18 +19,15 @@ from mcap.writer import CompressionType, Writer
 
 from tilth.logger.clock import Clock, boot_id, utc_text
 from tilth.logger.log.lock import lock
+from tilth.logger.log.software import software
 from tilth.schemas.channels import CHANNEL, file_descriptor_set
 from tilth.schemas.flow import Frame, Publication
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 
 CAN_TOPIC = "/can/"
 SNAPSHOT_TOPIC = "/snapshot"
 SIMULATED = "simulated"  # key of the metadata record "run"; absent where a tractor drove
-PACKAGES = (
-    "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
-    "scipy", "pyproj", "pydantic",
-)  # fmt: skip
 
 
 class ClockReason(StrEnum):
@@ -61,42 +54,18 @@ class RunPart:
     simulated: str = ""  # what drove instead of a tractor: a command
 
 
-def machine_sha256(machine: Machine, machine_text: str) -> str:
-    """Of the machine file and the DBC text it names: tells whether a snapshot fits."""
-    return hashlib.sha256((machine_text + (machine.wheel_angle.dbc_text or "")).encode()).hexdigest()
-
-
-@cache  # a search of the disk, and each new file of a run asks
-def software() -> dict[str, str]:
-    """Versions of all that computes, for the metadata record "tilth"."""
-
-    def of(package: str) -> str:
-        try:
-            return version(package)
-        except PackageNotFoundError:
-            return "not installed"
-
-    return {
-        "version": of("tilth"),
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        "processor": platform.machine(),
-        **{package: of(package) for package in PACKAGES},
-    }
-
-
 class LogWriter:
     """Writes one file. Every method may raise OSError; a file that did so is spoilt beyond its last flush."""
 
     def __init__(
-        self, path: Path, machine: Machine, machine_text: str, run: RunPart, stream: IO[bytes] | None = None
+        self, path: Path, machine_file: MachineFile, run: RunPart, stream: IO[bytes] | None = None
     ) -> None:
         """stream: takes the bytes instead of a file made here. Raises FileExistsError: a log is never
         overwritten."""
         self.path = path
         self.frames = 0
         self.flushed_bytes = 0
-        self._machine_sha256 = machine_sha256(machine, machine_text)
+        self._machine_sha256, machine = machine_file.sha256, machine_file.machine
         self._stream: IO[bytes] = _new_file(path) if stream is None else stream
         self._writer = Writer(
             self._stream,
@@ -108,7 +77,7 @@ class LogWriter:
         self._channels: dict[str, int] = {}
         self._raw = pb.CanFrame()
         self._writer.start(profile="", library=f"tilth {software()['version']}")
-        self.metadata("machine", _machine_metadata(machine, machine_text))
+        self.metadata("machine", _machine_metadata(machine_file))
         self.metadata("tilth", software())
         run_metadata = {"id": run.id, "part": str(run.part), "started_utc": utc_text(run.started_ns)}
         told = {"note": run.note, SIMULATED: run.simulated}
@@ -199,10 +168,6 @@ def _new_file(path: Path) -> IO[bytes]:
     return stream
 
 
-def _machine_metadata(machine: Machine, machine_text: str) -> dict[str, str]:
-    return {
-        "name": machine.name,
-        "toml": machine_text,
-        "dbc": machine.wheel_angle.dbc_text or "",
-        "sha256": machine_sha256(machine, machine_text),
-    }
+def _machine_metadata(of: MachineFile) -> dict[str, str]:
+    dbc = of.machine.wheel_angle.dbc_text or ""
+    return {"name": of.machine.name, "toml": of.text, "dbc": dbc, "sha256": of.sha256}

@@ -5,17 +5,15 @@ from typing import IO, cast
 from tilth.logger.log.disk import Spool
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.log_settings import Log
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 
 
 class OpenFile:
     """The writer of the format, and the spool that brings its bytes to the disk."""
 
-    def __init__(
-        self, spool: Spool, machine: Machine, machine_text: str, run: RunPart, begun_ns: int
-    ) -> None:
+    def __init__(self, spool: Spool, machine_file: MachineFile, run: RunPart, begun_ns: int) -> None:
         self.spool = spool
-        self.writer = LogWriter(spool.path, machine, machine_text, run, cast(IO[bytes], spool))
+        self.writer = LogWriter(spool.path, machine_file, run, cast(IO[bytes], spool))
         self.begun_ns = begun_ns
 
     def age_ns(self, t_ns: int) -> int:

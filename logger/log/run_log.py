@@ -14,7 +14,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.log import recovery
 from tilth.logger.log.counts import RecordedCounts
 from tilth.logger.log.disk import Disk
-from tilth.logger.log.mcap_log import ClockReason, machine_sha256
+from tilth.logger.log.mcap_log import ClockReason
 from tilth.logger.log.open_file import OpenFile
 from tilth.logger.log.recorder_state import Happening, RecorderState, RecorderStates
 from tilth.logger.log.room import Room
@@ -22,7 +22,7 @@ from tilth.logger.log.run_files import RunFiles
 from tilth.schemas.channels import ADDRESSES_TOPIC, encode_addresses
 from tilth.schemas.flow import EventKind, Frame
 from tilth.schemas.identity import KnownAddress
-from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, Report, notice
 from tilth.schemas.readable import reason_of
 
@@ -40,8 +40,7 @@ class Recording:
     def __init__(
         self,
         folder: Path,
-        machine: Machine,
-        machine_text: str,
+        machine_file: MachineFile,
         clock: Clock,
         report: Report,
         renew: Callable[[], str],
@@ -57,16 +56,16 @@ class Recording:
         as of RunPart.
         """
         self.counts = RecordedCounts()
-        self._machine = machine
-        self._machine_text = machine_text
+        self._machine_file = machine_file
+        self._settings = machine_file.machine.log
         self._clock = clock
         self._report = report
         self._renew = renew
         self._addresses = addresses
         self._states = RecorderStates(report)
         self._disk = Disk(folder)
-        self._room = Room(folder, machine.log, report)
-        self._run = RunFiles(folder, machine.name, note, clock, simulated)
+        self._room = Room(folder, self._settings, report)
+        self._run = RunFiles(folder, machine_file.machine.name, note, clock, simulated)
         self._file: OpenFile | None = None  # the one that is written
         self._retained: deque[tuple[str, int, bytes]] = deque(maxlen=MOST_RETAINED)
         self._now_ns = clock.t_ns()  # of the last tick
@@ -224,7 +223,7 @@ class Recording:
         elif self._is_silent():
             self._finish(file, ClockReason.IGNITION_OFF)
             self._states.after(Happening.IGNITION_OFF)
-        elif file.is_due(self._now_ns, self._machine.log) or self._run.correct_name(self._report):
+        elif file.is_due(self._now_ns, self._settings) or self._run.correct_name(self._report):
             self._finish(file, ClockReason.ROTATION)
             self._open(with_state=True)
 
@@ -236,7 +235,7 @@ class Recording:
     def _is_silent(self) -> bool:
         """Whether no frame has come for so long that the ignition must be off."""
         silent_s = (self._now_ns - self._last_frame_ns) * 1e-9
-        limit_s = self._machine.log.ignition_off_s
+        limit_s = self._settings.ignition_off_s
         return bool(limit_s) and silent_s > limit_s
 
     def _recovered(self, file: OpenFile) -> None:
@@ -296,14 +295,14 @@ class Recording:
             spool.make(needed)
         else:
             self._disk.do(lambda: spool.make(needed))
-        self._file = file = OpenFile(spool, self._machine, self._machine_text, run, self._now_ns)
+        self._file = file = OpenFile(spool, self._machine_file, run, self._now_ns)
         self._states.after(Happening.FILE_BEGUN)
         if spool.error is not None:
             self._fail(file, spool.error)
             return
         file.writer.clocks(self._clock, ClockReason.NEW_FILE if run.part > 1 else ClockReason.START)
         if known := self._addresses():
-            data = encode_addresses(self._now_ns, known, machine_sha256(self._machine, self._machine_text))
+            data = encode_addresses(self._now_ns, known, self._machine_file.sha256)
             file.writer.message(ADDRESSES_TOPIC, self._now_ns, data)
         if with_state:
             file.writer.snapshot(self._now_ns, self._renew())

@@ -10,7 +10,7 @@ from tilth.replay.readers.log import EmptyLog, ForeignLog, OpenLog, Record
 from tilth.replay.readers.mcap_reader import MACHINE
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, MachineError
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 
 PEEKED = 2000  # records among which the buses of a log are looked for
 NO_RECEIVER = "none of the machine file's receivers is heard in it"
@@ -19,8 +19,8 @@ LEFT_OUT = ""  # instead of a name of the machine file: the frames of that bus a
 Say = Callable[[str], None]
 
 
-def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machine, str]:
-    """The machine stored in the first of these logs that has one, and the text of its file.
+def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> MachineFile:
+    """The machine file stored in the first of these logs that has one.
 
     plausible: as of parse_machine; False for what only reads, and estimates nothing.
     Raises LogError where none has one, MachineError.
@@ -38,9 +38,10 @@ def machine_in(paths: Sequence[Path], *, plausible: bool = True) -> tuple[Machin
         text = found.get("toml")
         if text is not None:
             try:
-                return parse_machine(text, found.get("dbc") or None, plausible=plausible), text
+                machine = parse_machine(text, found.get("dbc") or None, plausible=plausible)
             except MachineError as error:
                 raise MachineError(f"{path}: its own machine file: {error}; give --machine M.toml") from None
+            return MachineFile(machine, text)
     if cut is not None:
         raise ForeignLog(f"{cut}: cut off before its machine file; give --machine M.toml")
     raise ForeignLog(f"{paths[0]}: no machine file is in this log; give --machine M.toml")

@@ -201,7 +201,7 @@ class Combination(_message.Message):
     def __init__(self, exponents: _Optional[_Iterable[float]] = ..., log_sd: _Optional[float] = ...) -> None: ...
 
 class Parameter(_message.Message):
-    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass", "why")
+    __slots__ = ("name", "value", "sd", "status", "reason", "age_s", "per_mass", "per_mass_sd", "why")
     NAME_FIELD_NUMBER: _ClassVar[int]
     VALUE_FIELD_NUMBER: _ClassVar[int]
     SD_FIELD_NUMBER: _ClassVar[int]
@@ -209,6 +209,7 @@ class Parameter(_message.Message):
     REASON_FIELD_NUMBER: _ClassVar[int]
     AGE_S_FIELD_NUMBER: _ClassVar[int]
     PER_MASS_FIELD_NUMBER: _ClassVar[int]
+    PER_MASS_SD_FIELD_NUMBER: _ClassVar[int]
     WHY_FIELD_NUMBER: _ClassVar[int]
     name: str
     value: float
@@ -217,8 +218,9 @@ class Parameter(_message.Message):
     reason: str
     age_s: float
     per_mass: float
+    per_mass_sd: float
     why: Reason
-    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ..., why: _Optional[_Union[Reason, _Mapping]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ..., sd: _Optional[float] = ..., status: _Optional[_Union[ParameterStatus, str]] = ..., reason: _Optional[str] = ..., age_s: _Optional[float] = ..., per_mass: _Optional[float] = ..., per_mass_sd: _Optional[float] = ..., why: _Optional[_Union[Reason, _Mapping]] = ...) -> None: ...
 
 class Nuisance(_message.Message):
     __slots__ = ("name", "value", "sd")

@@ -68,6 +68,10 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_STEADY_TURN_YET: "no steady turn yet",
     Code.NO_WINDOW_YET: "no window has been fitted yet",
     Code.WIDE: "the data leave {n[0]:share}: more steering is needed",
+    Code.OF_THE_MASS: (
+        "the machine file tells {of[0]} to {n[0]:share} only: weigh it; per kilogram the stiffness is known,"
+        " {n[1]:share}"
+    ),
     Code.NOT_LEARNED_FOR: "nothing was learned for {n[0]:.0f} s",
     Code.NO_SOUND_DATA_FOR: "no sound data for {n[0]:.0f} s",
     Code.NO_STEADY_DRIVING_FOR: "no steady driving for {n[0]:.0f} s",
@@ -105,6 +109,8 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
     Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is of where the rig is",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
+    Code.ROWS_KNOW_MORE: "{of[0]}: it knows the numbers to {n[0]:share} on average, {of[1]} to {n[1]:share}",
+    Code.ROWS_ALONE: "{of[0]}: no method that learns in turns has numbers",
     Code.NO_METHOD: "no method gives an estimate",
     Code.DISAGREE: (
         "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} over {n[1]:.0f} parameters, of which "

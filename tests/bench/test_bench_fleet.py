@@ -48,6 +48,7 @@ def _made(z: float, sd: float, count: int = 60) -> list[fleet.Result]:
             "last": [[off, sd] for off in error.tolist()],
             "given": [True, k % 10 > 0, True],
             "reasons": [""] * 6,
+            "over_mass": [float(error[2]), sd],
         }
         made.append({
             "row": "fleet", "seed": k, "first": 0, "scale": 1.0, "rig": k, "tractor": "heavy",

@@ -18,6 +18,7 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
 from tilth.schemas.flow import Frame, Word
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.signals import SIGNALS
 from tilth.simulator.traffic import simulate
@@ -132,7 +133,7 @@ def test_bus_names_are_mapped(answer: Answer, tmp_path: Path) -> None:
 
 def test_a_log_of_ours_brings_its_machine_file(answer: Answer, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, 0))
     rows: list[Frame] = list(simulate(MACHINE, 1, 3.0))
     for row in rows:
         writer.frame(row)
@@ -170,7 +171,7 @@ def test_a_state_of_another_machine_file_or_version_is_not_taken(answer: Answer,
     assert status == 0 and "another version" not in err
     assert {row["name"] for row in rows_of(out) if row["pgn"] == 129029} == {None}
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 2, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 2, 0))
     writer.snapshot(rows[0].t_ns, '{"format": "of the year 2040"}')
     writer.frame(rows[0])
     writer.close()
@@ -325,3 +326,23 @@ def test_a_reader_that_has_had_enough_is_no_error(tmp_path: Path) -> None:
             assert json.loads(pipe.readline())["pgn"] == 127250
         _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, err) == (0, b"")
+
+
+def test_a_terminal_gets_a_summary(tmp_path: Path) -> None:
+    """Each sender and message once; all lines where they are asked for."""
+    path = a_log(tmp_path / "a.log")
+
+    def shown(*words: str) -> str:
+        end, terminal = os.openpty()
+        done = subprocess.run(
+            [sys.executable, "-m", "tilth.cli", "decode", str(path), *words], stdout=terminal, check=True,
+            stderr=subprocess.DEVNULL, env={**os.environ, "COLUMNS": "200"},
+        )  # fmt: skip
+        os.close(terminal)
+        os.set_blocking(end, False)
+        assert done.returncode == 0
+        return os.read(end, 1 << 16).decode()
+
+    summary, lines = shown(), shown("--lines")
+    assert "a second" in summary and "a second" not in lines
+    assert lines.count("\n") > summary.count("\n") - 1

@@ -1,5 +1,7 @@
 """`tilth fit` as it is typed: its JSON and tables, and what it says when it cannot."""
 
+import csv
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -44,7 +46,16 @@ def test_json_and_tables_say_the_same(fit: Answer) -> None:
     assert all(set(row) == {"value", "sd", "status", "reason"} for row in run["parameters"].values())
     status, out, _ = fit(log, "--segment", "4:27")
     value = run["parameters"]["C_af"]["value"]
-    assert status == 0 and f"{value:.0f}"[:2] in out and "N/rad" in out and "all together" not in out
+    assert status == 0 and f"{1e-3 * value:.0f}" in out and "kN/rad" in out and "all together" not in out
+    assert max(map(len, out.splitlines())) <= 80
+    _, out, _ = fit(log, "--segment", "4:27", "--csv")
+    row = next(row for row in csv.DictReader(io.StringIO(out)) if row["parameter"] == "C_af")
+    assert float(row["estimate"]) == pytest.approx(1e-3 * value, rel=1e-3) and row["unit"] == "kN/rad"
+    assert float(row["low_95"]) < float(row["estimate"]) < float(row["high_95"])
+    _, out, _ = fit(log, "--segment", "4:27", "--latex")
+    assert r"$C_{\alpha f}$ [kN/rad]" in out and f"${1e-3 * value:.0f}" in out
+    _, out, _ = fit(log, "--segment", "4:27", "--all")
+    assert "segment 1.1, given, 4.0 to 27.0 s" in out and "estimated" in out
 
 
 def test_the_two_steps_stand_beside(fit: Answer) -> None:

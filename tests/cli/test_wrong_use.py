@@ -16,7 +16,7 @@ from tilth.schemas.invocation import command
 NOWHERE = "tcp/127.0.0.1:1"
 ROWS: list[tuple[list[str], str]] = [
     ([], "required: COMMAND; see "),
-    (["frob"], "choose from 'run', "),
+    (["frob"], "there is no command frob. "),
     (["run", "MACHINE", "--seconds", "x"], "--seconds: x: give a number above zero"),
     (["run", "MACHINE", "--seconds", "nan"], "--seconds: nan: give a number above zero"),
     (["run", "FOLDER"], "is a directory); give the path of one that exists"),
@@ -116,3 +116,13 @@ def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["--version"])
     assert end.value.code == 0 and capsys.readouterr().out == f"tilth {version('tilth')}\n"
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [("chek", "did you mean check?"), ("Replay", "did you mean replay?"), ("zzz", "no command zzz. ")],
+)
+def test_a_slip_is_told_what_was_meant(word: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main([word])
+    assert left.value.code == 2 and says in capsys.readouterr().err

@@ -60,9 +60,16 @@ def test_what_the_daemon_says_comes_whole() -> None:
         advice=Advice(AdviceKind.NOTHING_HELPS, ("C_ai",), (0.3,)),
         condition=3.0,
     )
-    result = replace(result, nuisances={"bias": (0.1, 0.2)}, excitation={"turns": 3.0}, per_mass=(1.0,) * 3)
+    result = replace(
+        result,
+        nuisances={"bias": (0.1, 0.2)},
+        excitation={"turns": 3.0},
+        per_mass=(1.0,) * 3,
+        per_mass_sd=(0.1,) * 3,
+    )
     received = estimate_of(encoded(result), ENCODING)
-    assert replace(received, per_mass=received.per_mass[:3]) == result
+    received = replace(received, per_mass=received.per_mass[:3], per_mass_sd=received.per_mass_sd[:3])
+    assert received == result
 
 
 def lopsided() -> list[float]:

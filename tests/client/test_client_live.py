@@ -199,6 +199,7 @@ def test_a_simulation_is_heard_by_those_who_ask_for_it_only() -> None:
         assert desk.wait(PATIENCE_S)
         until(lambda: usable(desk))
         assert tractor.latest().estimate is None and tractor.rig is None and not tractor.alive
+        until(lambda: "connect with replay=True" in tractor.latest().reason)
 
 
 def test_strangers_cannot_make_it_use_what_is_not_so(publisher: Publisher) -> None:

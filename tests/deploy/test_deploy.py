@@ -131,7 +131,7 @@ def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path)
     machine = tmp_path / "machine.toml"
     machine.write_text(TEXT)
     result = box.setup("install", wheel, "--machine", machine)
-    assert result.returncode == 0 and result.stdout.count("compiling kernels, once per machine") == 1
+    assert result.returncode == 0 and "compiling" not in result.stdout  # the wheel carries them
     unit = (SYSTEM / "tilth.service").read_text()
     assert f"Environment=NUMBA_CACHE_DIR=/{KERNELS} " in unit and "CacheDirectory=tilth\n" in unit
     logs = str(tmp_path / "logs")

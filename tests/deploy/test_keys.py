@@ -30,6 +30,7 @@ from tilth.logger.machine_file import read_machine
 from tilth.logger.zenoh.session import try_session
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.machine import MachineError
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "jd7930-parker500"
@@ -345,7 +346,7 @@ def test_an_operator_marks_a_reader_is_told_why_not_and_garbage_changes_nothing(
     text = machine_text(tmp_path / "logs", udp_bus("can0", free_port()))
     file.write_text(re.sub("(?m)^listen = .*$", 'config = "keys/daemon.json"', text))
     machine, text = read_machine(file)
-    daemon = Daemon(machine, text, tmp_path / "logs", "", NoDisplay())
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())
     done = threading.Event()
 
     def loop() -> None:

@@ -20,7 +20,7 @@ import pytest
 
 from tilth.estimator import kernel_digest
 from tilth.estimator.compiled import Kernel
-from tilth.estimator.filters import predictor
+from tilth.estimator.filters import predictor, row_filter, tracker_kernel
 from tilth.estimator.kernel_digest import NotDigestible
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.generated import rolling_kernels
@@ -288,6 +288,14 @@ def test_the_digest_does_not_depend_on_where_a_function_stands() -> None:
     source = "def f(x):\n    # why\n    return 2.0 * x"
     assert digest(_function(source)) == digest(_function("\n\n" + source.replace("    # why\n", "")))
     assert digest(_function(source)) != digest(_function(source.replace("2.0", "2")))
+
+
+def test_a_loop_has_the_steps_of_its_user() -> None:
+    loops = [predictor.run_ticks, tracker_kernel.track_ticks, row_filter.run_gains, row_filter.run_response]
+    assert len({loop.function.__code__ for loop in loops}) == 1
+    assert len({digest(loop.function) for loop in loops}) == len(loops)
+    with pytest.raises(KeyError, match="over_ticks does not call take_rows"):
+        predictor.run_ticks.with_steps(take_rows=predictor.take_row)
 
 
 def test_an_inline_kernel_is_compiled_in_its_callers_alone(monkeypatch: pytest.MonkeyPatch) -> None:

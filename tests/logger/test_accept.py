@@ -25,6 +25,7 @@ from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
@@ -69,7 +70,7 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     machine, text = rig(tmp_path, VIRTUAL)
     file = tmp_path / "m.toml"
     file.write_text(text)
-    daemon = Daemon(machine, text, tmp_path / "logs", "", NoDisplay(), keep=True)
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay(), keep=True)
     drive = now(list(simulate(MACHINE, 4, 4.0)))
     for frame in drive[: len(drive) // 2]:
         daemon.take(frame)
@@ -95,9 +96,9 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     (logged,) = (said for log in logs for said in records_of(log, "/accepted", pb.Accepted))
     assert logged.what == "implement_front" and logged.amounts == pytest.approx([0.1, -0.02], abs=1e-3)
     comparison = Comparison()
-    replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
+    replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
-    following = Daemon(machine, text, tmp_path / "logs", None, NoDisplay(), keep=True)
+    following = Daemon(MachineFile(machine, text), tmp_path / "logs", None, NoDisplay(), keep=True)
     assert following.parts.estimation.fold.state.machine == fold.state.machine
     following.close()
 

@@ -26,7 +26,7 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.channels import ADDRESSES_TOPIC
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.identity import KnownAddress
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-addresses"\n\n'
@@ -67,14 +67,14 @@ DAMAGED: list[Callable[[Path], object]] = [
 def test_whatever_lies_there_the_daemon_begins(damage: Callable[[Path], object], tmp_path: Path) -> None:
     machine, text = rig(tmp_path, VIRTUAL)
     damage(tmp_path / f"{machine.name}.addresses.json")
-    daemon = Daemon(machine, text, tmp_path, None, NoDisplay(), keep=True)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, NoDisplay(), keep=True)
     daemon.turn(0.0)
     assert daemon.close().log_files
 
 
 def run_through(folder: Path, text: str, frames: Sequence[Frame]) -> tuple[Path, ...]:
     """One run of the daemon in this process."""
-    daemon = Daemon(parse_machine(text), text, folder, None, NoDisplay(), keep=True)
+    daemon = Daemon(MachineFile(parse_machine(text), text), folder, None, NoDisplay(), keep=True)
     with can.Bus(interface="virtual", channel="tilth-addresses") as bus:
         until(lambda: daemon.parts.buses.live_buses[0].connection.port is not None, daemon.turn)
         for frame in frames:
@@ -93,14 +93,14 @@ def test_a_restarted_daemon_knows_its_receivers_live_and_in_replay(tmp_path: Pat
     (head,) = records_of(logs[0], ADDRESSES_TOPIC, pb.Addresses)
     assert {one.mount for one in head.known} >= {mount.value for mount in Mount}
     comparison = Comparison()
-    summary = replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
+    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.compared > 100 and not comparison.difference
     assert "unidentified" not in summary.rejected and "unknown_source" not in summary.rejected
     other = text.replace(
         "mass = 9391.0", "mass = 9390.0"
     )  # its state is of no use to that one, the NAMEs are
     for paths in (logs, logs[-1:]):
-        assert "unidentified" not in replay(paths, parse_machine(other), other).rejected
+        assert "unidentified" not in replay(paths, MachineFile(parse_machine(other), other)).rejected
 
 
 COMMAND = """
@@ -135,7 +135,7 @@ def test_the_real_daemon_killed_while_driving(seconds: float, tmp_path: Path) ->
     second = [path for path in sorted(logs.glob("*.mcap")) if path != first_part]
     comparison = Comparison()
     machine = parse_machine(text)
-    summary = replay(second, machine, text, outputs=ReplayOutputs(comparison=comparison))
+    summary = replay(second, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
     assert not comparison.difference
     assert "unidentified" not in summary.rejected and summary.poses > 5
 

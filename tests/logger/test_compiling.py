@@ -21,6 +21,7 @@ from tilth.estimator.compiled import Kernel
 from tilth.estimator.methods.estimators import ROW
 from tilth.logger import compiling
 from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.preparing import Preparing
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto.tilth_pb2 import Ready, Status
@@ -34,6 +35,7 @@ from drives import LEARNING, QUIET
 from tilth.estimator.compiled import Kernel
 from tilth.logger.compiling import is_prepared, kernels_of, prepare
 from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.preparing import Preparing
 from tilth.simulator.scenario import Fault
 from tilth.simulator.traffic import simulate
 from tilth.schemas.flow import Mount
@@ -100,7 +102,7 @@ def test_poses_need_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     """As numba tells it, without its work."""
-    shares: list[float] = []
+    told: list[compiling.Done] = []
     kernels = [Kernel(one.function) for one in compiling.kernels_of(MACHINE)]
     assert sum(len(kernel.functions()) > 5 for kernel in kernels) >= 2  # large ones, whose shares overlap
 
@@ -113,11 +115,39 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
 
     monkeypatch.setattr(compiling, "kernels_of", lambda machine: kernels)
     monkeypatch.setattr(compiling, "_call", call)
-    assert compiling.prepare(MACHINE, shares.append) > 0.0
+    assert compiling.prepare(MACHINE, told.append) > 0.0
+    shares = [done.share for done in told]
     assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] == compiling.MOST
     assert 0.2 < shares[len(shares) // 2] < 0.9  # the motion's slopes, most of the work, come early
     codes = {function.__code__ for kernel in kernels for function in kernel.functions()}
-    assert len(shares) == 1 + len(codes)
+    assert [done.functions for done in told] == [*range(1 + len(codes))]
+    assert {done.of for done in told} == {len(codes)}
+
+
+def test_the_time_left_never_grows_while_a_function_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("tilth.logger.preparing.time.monotonic", lambda: now[0])
+    monkeypatch.setattr(compiling, "is_prepared", lambda machine: True)
+    preparing = Preparing(MACHINE, lambda kind, told: None)
+    preparing.ready, preparing._doing = False, "compiling"
+    said = []
+    for after_s, done, share in (
+        (0, 0, 0.0),
+        (1, 1, 0.05),
+        (9, 40, 0.5),
+        (60, 40, 0.5),
+        (5, 78, 0.9),
+        (60, 79, 0.99),
+    ):
+        now[0] += after_s
+        preparing._progress(compiling.Done(done, 80, share))
+        for wait_s in (0.0, 30.0):
+            now[0] += wait_s
+            said.append(preparing.remaining_s)
+        assert preparing.text == f"compiling: {done} of 80 done"
+    known = [one for one in said if one is not None]
+    assert said[:4] == [None] * 4 and len(known) == 8
+    assert known == sorted(known, reverse=True) and known[-1] < known[0]
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +159,7 @@ def nowhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         if folder.name != "estimator":
             (root / "tilth" / folder.name).symlink_to(folder.resolve())
     ours = root / "tilth" / "estimator"
-    shutil.copytree(ROOT / "estimator", ours, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "estimator", ours, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
     for folder in (root, ours, *(room for room in ours.rglob("*") if room.is_dir())):
         (folder / "__pycache__").write_text("in the way")
     in_the_way = str(root / "__pycache__")
@@ -194,7 +224,8 @@ def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
 def test_the_first_start_on_a_new_computer_records_from_the_first_second(
     tmp_path: Path, nowhere: dict[str, str], expected: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    ours = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    # For a processor that lacks the baseline nothing is there, as in an installed Tilth.
+    ours = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels"), "NUMBA_CPU_NAME": "x86-64-v2"}
     output, result = demo(ours if expected else nowhere, tmp_path / "logs")
     logs = [Path(name) for name in output["log"]]  # one, unless this computer is very busy
     frame_s, ready_s, estimate_s = seconds_of(logs)

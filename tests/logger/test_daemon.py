@@ -42,6 +42,7 @@ from tilth.logger.guarded_fold import PAUSE_NS, GuardedFold
 from tilth.logger.status_line import PlainDisplay
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Estimate, Event, Frame, Publication, Status
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import event_sentence
 from tilth.simulator.traffic import simulate
@@ -53,6 +54,7 @@ COMMAND = """
 import sys
 sys.modules["asammdf"] = None  # two seconds of import for reading files
 from tilth.cli import main
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.sentences import event_sentence
 raise SystemExit(main())
 """
@@ -137,7 +139,7 @@ def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> 
             sender.begin([port], [(0, f, (f.t_ns - sent[0].t_ns) * 1e-9) for f in sent])
         return displayed.status.frames == len(sent)
 
-    summary = run_daemon(machine, text, seconds=PATIENCE_S, status=displayed, stop=stop)
+    summary = run_daemon(MachineFile(machine, text), seconds=PATIENCE_S, status=displayed, stop=stop)
     sender.finish()
     assert summary.frames == summary.recorded == len(sent) and summary.lost == summary.not_recorded == 0
     got = [frame for path in summary.log_files for frame in logged_frames(path)]
@@ -166,7 +168,7 @@ def test_what_is_live_is_what_a_replay_gives(tmp_path: Path, sender: Sender) -> 
 
 def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: can.BusABC) -> None:
     machine, text = rig(tmp_path, VIRTUAL)
-    daemon = Daemon(machine, text, tmp_path, "", NoDisplay())
+    daemon = Daemon(MachineFile(machine, text), tmp_path, "", NoDisplay())
     say(talker, numbered(1)[0])
     with session(machine.zenoh.listen) as other:
         key = f"tilth/{machine.name}/status"
@@ -237,7 +239,7 @@ def test_a_fault_in_the_estimators_costs_no_frame(
     displayed = Shown()
     for frame in numbered(10):
         say(talker, frame)  # nobody listens yet
-    daemon = Daemon(machine, text, tmp_path, None, displayed)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, displayed)
     until(lambda: daemon.turn() == 0 and displayed.status.buses[0].state == "open", lambda: None)
     for frame in numbered(10):
         say(talker, frame)
@@ -280,7 +282,7 @@ def test_a_log_folder_that_cannot_be_written_does_not_stop_the_rest(
     (tmp_path / "logs").write_text("in the way")
     machine, text = rig(tmp_path / "logs", VIRTUAL)
     displayed = Shown()
-    daemon = Daemon(machine, text, tmp_path / "logs", "", displayed)
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", displayed)
     with session(machine.zenoh.listen) as other:
         key = f"tilth/{machine.name}/event"
         until(lambda: key in answers(other, key), daemon.turn)
@@ -299,7 +301,7 @@ def test_a_bus_that_does_not_exist_is_said_and_the_other_is_logged(
     missing = '[[bus]]\nname = "can9"\ninterface = "socketcan"\nchannel = "nosuchcan9"\n\n'
     machine, text = rig(tmp_path, VIRTUAL, missing)
     displayed = Shown()
-    daemon = Daemon(machine, text, tmp_path, None, displayed)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, displayed)
     until(lambda: bool(displayed.events), daemon.turn)
     say(talker, numbered(1)[0])
     until(lambda: displayed.status.frames == 1, daemon.turn)
@@ -330,7 +332,7 @@ def test_a_step_of_the_clock_is_noted_and_the_log_goes_on_evenly(
     monkeypatch.setattr(daemon_module, "Clock", SteppingClock)
     machine, text = rig(tmp_path, VIRTUAL)
     displayed = Shown()
-    daemon = Daemon(machine, text, tmp_path, None, displayed)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, displayed)
     until(lambda: bool(displayed.events), daemon.turn)
     for frame in numbered(3):
         say(talker, frame)
@@ -352,7 +354,7 @@ def test_a_terminal_that_goes_away_does_not_stop_the_log(tmp_path: Path, talker:
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "w") as gone:
-        daemon = Daemon(machine, text, tmp_path, None, PlainDisplay(gone))
+        daemon = Daemon(MachineFile(machine, text), tmp_path, None, PlainDisplay(gone))
         for _ in range(3):
             daemon.turn(0.0)
         say(talker, numbered(1)[0])

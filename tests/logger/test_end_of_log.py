@@ -14,6 +14,7 @@ from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import FitOutcome
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.traffic import simulate
 
 SEED, SECONDS = 3, 31.0
@@ -22,7 +23,7 @@ SEED, SECONDS = 3, 31.0
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("end") / "end.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("run", 1, START_NS))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("run", 1, START_NS))
     for frame in simulate(MACHINE, SEED, SECONDS, QUIET):
         writer.frame(frame)
     writer.close()
@@ -44,12 +45,12 @@ def test_what_was_driven_before_the_end_is_fitted_once() -> None:
 
 def test_a_replay_of_what_a_replay_wrote_is_identical(log: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
-    writer = LogWriter(again, MACHINE, MACHINE_TEXT, RunPart("run", 1, START_NS))
-    summary = replay([log], MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(writer=writer))
+    writer = LogWriter(again, MachineFile(MACHINE, MACHINE_TEXT), RunPart("run", 1, START_NS))
+    summary = replay([log], MachineFile(MACHINE, MACHINE_TEXT), outputs=ReplayOutputs(writer=writer))
     writer.close()
     assert summary.estimates[pem.METHOD].excitation["fits"] == 1.0
     comparison = Comparison()
-    second = replay([again], MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison))
+    second = replay([again], MachineFile(MACHINE, MACHINE_TEXT), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.compared > 0 and comparison.difference == ""
     assert second.estimates == summary.estimates
 

@@ -15,11 +15,12 @@ from circle import demo_machine
 from logs import MACHINE_TEXT as PACKAGED
 from logs import Live, results_of
 
-from tilth.estimator.methods import pem
+from tilth.estimator.methods import pem, rows, two_step
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_json_data
+from tilth.logger.fit_worker import in_order
 from tilth.logger.fitting import GIVEN_UP, LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.job import OUT_OF_MEMORY
@@ -32,6 +33,7 @@ from tilth.schemas import flow
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto.tilth_pb2 import Event, FitOutcome, SoilTireEstimate
 from tilth.schemas.sentences import event_sentence, notice_sentence
 from tilth.simulator.drive import drive
@@ -135,6 +137,11 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
     assert worker.seconds is not None and worker.seconds > 0.0
 
 
+def test_rows_are_compiled_last() -> None:
+    """They tell nothing before two minutes; turns and the method of the dissertation are wanted sooner."""
+    assert [fitting.fit for fitting in in_order(MACHINE)] == [pem.fit, two_step.fit, rows.fit]
+
+
 def test_what_is_not_ready_is_late_and_is_not_kept_for_another(worker: Worker) -> None:
     job = replace(a_job(), asked_ns=1)
     assert worker.outcome(pem.METHOD, job, 2) is None  # was never asked for
@@ -218,7 +225,9 @@ def record(folder: Path, rows: Sequence[Frame], fitter: Pocket, cuts: Callable[[
             if writer is not None:
                 writer.close()
             paths.append(folder / f"r_{len(paths) + 1:03d}.mcap")
-            writer = LogWriter(paths[-1], MACHINE, MACHINE_TEXT, RunPart("r", len(paths), rows[0].t_ns))
+            writer = LogWriter(
+                paths[-1], MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", len(paths), rows[0].t_ns)
+            )
             if snapshot is not None:
                 writer.snapshot(row.t_ns, snapshot)
         writer.frame(row)
@@ -250,7 +259,12 @@ class Once:
 def replayed(paths: Sequence[Path]) -> tuple[str, list[str]]:
     comparison = Comparison()
     messages: list[str] = []
-    replay(paths, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=messages.append)
+    replay(
+        paths,
+        MachineFile(MACHINE, MACHINE_TEXT),
+        outputs=ReplayOutputs(comparison=comparison),
+        say=messages.append,
+    )
     assert comparison.compared > 0
     return comparison.difference, messages
 
@@ -386,11 +400,11 @@ def test_the_same_run_twice_and_another_with_its_stamps(late: Path, in_time: Pat
 
 def test_where_the_log_says_nothing_fits_are_in_time(tmp_path: Path) -> None:
     silent = tmp_path / "silent.mcap"
-    writer = LogWriter(silent, MACHINE, MACHINE_TEXT, RunPart("s", 1, 0))
+    writer = LogWriter(silent, MachineFile(MACHINE, MACHINE_TEXT), RunPart("s", 1, 0))
     for row in driven():
         writer.frame(row)
     writer.close()
-    found = replay([silent], MACHINE, MACHINE_TEXT).estimates[pem.METHOD]
+    found = replay([silent], MachineFile(MACHINE, MACHINE_TEXT)).estimates[pem.METHOD]
     assert (found.excitation["fits"], found.excitation["late"]) == (1.0, 0.0)
 
 

@@ -27,6 +27,7 @@ from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Event
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.traffic import simulate
 
@@ -86,7 +87,7 @@ def test_whatever_lies_there_a_run_begins_and_records(what: str, tmp_path: Path,
     os.mkfifo(earlier.with_suffix(".json"))
     os.mkfifo(tmp_path / f"{earlier.name}_001.mcap")
     told = Told()
-    daemon = Daemon(machine, text, tmp_path, None, told, keep=True)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, told, keep=True)
     daemon.turn(0.0)
     assert [event.kind for event in told.events] == ["warm_start"]
     for frame in numbered(500):

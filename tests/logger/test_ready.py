@@ -21,6 +21,7 @@ from tilth.replay.readers.log import Logged
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.flow import Estimate, Event, Frame
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import event_sentence
 from tilth.simulator.traffic import simulate
@@ -69,7 +70,7 @@ class Drive:
     def __init__(self, folder: Path, talker: can.BusABC, log: str = "") -> None:
         self.machine, self.text = rig(folder, VIRTUAL, log=log)
         self.shown = Shown()
-        self.daemon = Daemon(self.machine, self.text, folder, None, self.shown)
+        self.daemon = Daemon(MachineFile(self.machine, self.text), folder, None, self.shown)
         self._talker = talker
         self._folder = folder
         self._sent = 0
@@ -103,7 +104,11 @@ class Drive:
     def again(self, paths: tuple[Path, ...]) -> tuple[ReplaySummary, Comparison, list[str]]:
         comparison, output = Comparison(), list[str]()
         outputs = ReplayOutputs(comparison=comparison)
-        return replay(paths, self.machine, self.text, outputs=outputs, say=output.append), comparison, output
+        return (
+            replay(paths, MachineFile(self.machine, self.text), outputs=outputs, say=output.append),
+            comparison,
+            output,
+        )
 
 
 @pytest.fixture(autouse=True)

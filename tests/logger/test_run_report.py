@@ -22,6 +22,7 @@ from tilth.logger.log.recovery import finish
 from tilth.logger.priority import REPORTS
 from tilth.logger.run_report import BUSY
 from tilth.schemas.invocation import started_as
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 
 pytestmark = pytest.mark.long
@@ -45,7 +46,7 @@ def commands() -> Iterator[list[str]]:
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
-    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as one:
+    with turning(Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())) as one:
         yield one
 
 
@@ -151,7 +152,7 @@ def test_a_folder_that_cannot_be_written_is_told(daemon: Daemon, tmp_path: Path)
 def test_a_daemon_that_ends_takes_its_report_with_it(tmp_path: Path) -> None:
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
     started_as(["tilth"], [sys.executable, "-c", "import signal; signal.pause()"])
-    daemon = Daemon(machine, text, tmp_path / "logs", "", NoDisplay())
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())
     with turning(daemon), joined(daemon) as other:
         assert asked(other, "report/make")[1] == ""
         until(lambda: bool(children("signal.pause")), lambda: None)

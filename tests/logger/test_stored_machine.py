@@ -8,6 +8,7 @@ from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, START_NS
 
 from tilth.cli import main
 from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
@@ -18,7 +19,7 @@ SENTENCE = "tractor.a = 1700 m: must be from 0.3 to 5; did you mean 1.7 (1700 mm
 @pytest.fixture
 def old_log(tmp_path: Path) -> Path:
     path = tmp_path / f"{MACHINE.name}_20260101T000000Z_001.mcap"
-    writer = LogWriter(path, MACHINE, TEXT, RunPart("run", 1, START_NS))
+    writer = LogWriter(path, MachineFile(MACHINE, TEXT), RunPart("run", 1, START_NS))
     for frame in simulate(MACHINE, 1, 2.0, Scenario(other_traffic=False)):
         writer.frame(frame)
     writer.close()

@@ -13,6 +13,7 @@ from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.status import health_of
 from tilth.logger.supervisor import Supervisor, of_environment
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-supervisor"\n\n'
@@ -112,7 +113,7 @@ def test_a_run_is_ready_beats_tells_and_stops_and_a_hung_one_falls_silent(tmp_pa
     systemd = Systemd(str(tmp_path / "notify"))
     machine, text = rig(tmp_path, VIRTUAL)
     supervisor = Supervisor({"NOTIFY_SOCKET": systemd.told, "WATCHDOG_USEC": "40000"})
-    daemon = Daemon(machine, text, tmp_path, None, NoDisplay(), supervisor=supervisor)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, NoDisplay(), supervisor=supervisor)
     assert systemd.received() == []
     words: list[str] = []
     with can.Bus(interface="virtual", channel="tilth-supervisor") as bus:
@@ -153,7 +154,7 @@ def test_health_in_a_word(status: pb.Status, health: str) -> None:
 def test_the_heartbeat_on_zenoh_counts_what_went_wrong(tmp_path: Path) -> None:
     machine, text = rig(tmp_path, VIRTUAL)
     (tmp_path / "logs").write_text("no folder")
-    daemon = Daemon(machine, text, tmp_path / "logs", "", NoDisplay(), supervisor=Supervisor({}))
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay(), supervisor=Supervisor({}))
     key = f"tilth/{machine.name}/status"
     with (
         can.Bus(interface="virtual", channel="tilth-supervisor") as bus,

@@ -34,7 +34,7 @@ from tilth.replay.readers.any_log import open_log
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Event, Frame, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import event_sentence, sentence
@@ -286,7 +286,7 @@ def talker() -> Iterator[can.BusABC]:
 def a_run(folder: Path, described: tuple[Machine, str] | None = None, **options: Any) -> tuple[Daemon, Told]:
     machine, text = described or rig(folder, VIRTUAL)
     result = Told()
-    daemon = Daemon(machine, text, folder, None, result, **options)
+    daemon = Daemon(MachineFile(machine, text), folder, None, result, **options)
     daemon.turn(0.0)
     return daemon, result
 
@@ -315,7 +315,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert kinds[0] is Snapshot  # before any frame
     machine, text = second_rig
     comparison = Comparison()
-    summary = replay(logs, machine, text, outputs=ReplayOutputs(comparison=comparison))
+    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
     assert summary.estimates["place"].of_place is not None  # the windows of the run before, in another plane
@@ -419,7 +419,7 @@ def test_what_was_found_moved_stays_so_after_a_restart(
         assert "wheel_angle.zero" in sentence(given[0].reason)
     logs = second.close().log_files
     comparison = Comparison()
-    replay(logs, *second_rig, outputs=ReplayOutputs(comparison=comparison))
+    replay(logs, MachineFile(*second_rig), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
 
 

@@ -11,6 +11,7 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.catalogue import has_results, listing, run_files
 from tilth.replay.readers.log import ForeignLog
 from tilth.schemas.flow import Status
+from tilth.schemas.machine_toml import MachineFile
 
 DAY = 86_400 * SECOND
 CANDUMP = "(1700000000.000000) can0 18FF0001#1122\n"
@@ -45,7 +46,9 @@ def test_files_of_one_run_are_one_and_others_are_others(tmp_path: Path) -> None:
 def test_logs_of_replays_are_runs_of_their_own(tmp_path: Path) -> None:
     paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
     for number, path in enumerate(paths):
-        LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("replay", 1, START_NS + number * DAY)).close()
+        LogWriter(
+            path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("replay", 1, START_NS + number * DAY)
+        ).close()
     assert [run.name for run in run_files(paths)] == ["one", "two"]
 
 
@@ -98,7 +101,7 @@ def test_a_run_without_an_estimate_is_listed(tmp_path: Path) -> None:
 def test_two_replays_of_a_log_and_a_copy_of_a_part_are_runs_of_their_own(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.mcap" for name in ("one", "two")]
     for path in paths:
-        LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("replay", 1, START_NS)).close()
+        LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("replay", 1, START_NS)).close()
     first, second = write_run(tmp_path, 10.0, parts=2)
     (tmp_path / "copy.mcap").write_bytes(first.read_bytes())
     found = run_files([*paths, first, second, tmp_path / "copy.mcap"])

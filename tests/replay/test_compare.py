@@ -26,9 +26,9 @@ def logged() -> pb.SoilTireEstimate:
 
 
 def difference(change: Callable[[pb.SoilTireEstimate], object]) -> str:
-    comparison, other = Comparison(), logged()
+    comparison, other = Comparison(), learned()
     change(other)
-    comparison.logged(Logged(TOPIC, 7, logged().SerializeToString()))
+    comparison.logged(Logged(TOPIC, 7, learned().SerializeToString()))
     comparison.recomputed(TOPIC, 7, other.SerializeToString())
     comparison.finish(truncated=False)
     assert comparison.compared == 1
@@ -60,6 +60,72 @@ def test_other_words_are_no_difference(change: Callable[[pb.SoilTireEstimate], o
 )
 def test_another_code_or_number_is_one(change: Callable[[pb.SoilTireEstimate], object], named: str) -> None:
     assert named in difference(change)
+
+
+def elsewhere(change: Callable[[pb.SoilTireEstimate], object]) -> Comparison:
+    """Of a log that another kind of processor has written."""
+    comparison, live, other = Comparison(), learned(), learned()
+    comparison.recorded_by({"arithmetic": "banana"})
+    change(other)
+    comparison.logged(Logged(TOPIC, 7, live.SerializeToString()))
+    comparison.recomputed(TOPIC, 7, other.SerializeToString())
+    comparison.finish(truncated=False)
+    assert "banana" in comparison.elsewhere and comparison.compared == 1
+    return comparison
+
+
+def learned() -> pb.SoilTireEstimate:
+    """With numbers: C_af of 90 000 N/rad with an sd of 4000."""
+    message = logged()
+    message.parameters[0].value, message.parameters[0].sd, message.condition = 9e4, 4e3, 20.0
+    message.nuisances.add(name="zero", value=1e-3, sd=2e-3)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("change", "largest"),
+    [
+        (lambda other: None, None),
+        (lambda other: setattr(other.parameters[0], "value", 9e4 + 4e-2), (1e-5, "parameters[0].value")),
+        (lambda other: setattr(other.parameters[0], "sd", 4e3 - 4e-3), (1e-6, "parameters[0].sd")),
+        (lambda other: setattr(other.nuisances[0], "value", 1e-3 + 1e-8), (5e-6, "nuisances[0].value")),
+        (lambda other: setattr(other, "condition", 20.0 * (1.0 + 1e-7)), (1e-7, "condition")),
+        (lambda other: setattr(other.combinations[0], "log_sd", 0.1 + 1e-9), (1e-9, "log_sd")),
+        (lambda other: setattr(other.parameters[2], "reason", "in other words"), None),
+    ],
+)
+def test_elsewhere_a_number_may_differ_by_its_tolerance(
+    change: Callable[[pb.SoilTireEstimate], object], largest: tuple[float, str] | None
+) -> None:
+    found = elsewhere(change)
+    assert found.difference == ""
+    if largest is None:
+        assert found.largest is None
+    else:
+        assert found.largest is not None and found.largest.field.endswith(largest[1])
+        assert found.largest.amount == pytest.approx(largest[0], rel=1e-3)
+    assert difference(change) != "" or largest is None  # on the same processor nothing may
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda other: setattr(other.parameters[0], "value", 9e4 + 4.0), "parameters[0].value"),
+        (lambda other: other.parameters[0].ClearField("value"), "parameters[0].value was 90000.0, is absent"),
+        (lambda other: setattr(other.nuisances[0], "value", 1.1e-3), "nuisances[0].value"),
+        (lambda other: setattr(other.nuisances[0], "value", math.nan), "nuisances[0].value"),
+        (lambda other: other.bound.append(1.0), "bound"),
+        (lambda other: setattr(other.parameters[0], "status", 3), "parameters[0].status"),
+        (lambda other: setattr(other.parameters[2].why, "code", "no_rtk"), "parameters[2].why.code"),
+        (lambda other: setattr(other, "rank", 1), "rank"),
+        (lambda other: other.ClearField("advised"), "advised was there, is absent"),
+        (lambda other: setattr(other, "t_ns", 8), "t_ns"),
+    ],
+)
+def test_elsewhere_a_decision_is_equal_and_so_is_a_number_beyond(
+    change: Callable[[pb.SoilTireEstimate], object], named: str
+) -> None:
+    assert named in elsewhere(change).difference
 
 
 def test_the_fields_that_are_words_are_there_and_texts() -> None:

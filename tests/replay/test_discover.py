@@ -152,9 +152,11 @@ def test_nothing_is_filled_in_for_the_person(found: Findings) -> None:
 
 def test_what_a_draft_has_as_comments_are_keys(found: Findings) -> None:
     text = re.sub(r"^# (size|pressure) =", r"#  \1 =", _filled(draft(found, [])), flags=re.MULTILINE)
-    machine = parse_machine(re.sub(r"^# ([a-z_]+ = )", r"\1", text, flags=re.MULTILINE))
+    machine = parse_machine(re.sub(r"^# (\[\[|[a-z_]+ = )", r"\1", text, flags=re.MULTILINE))
     assert machine.tyres.rear.deflection is not None and machine.tyres.rear.dual_track is not None
     assert machine.tractor.hitch_height is not None and machine.tractor.suspended_front_axle
+    assert machine.tractor.front_axle_mass is not None
+    assert (len(machine.tractor.ballast), len(machine.implement.ballast)) == (1, 1)
 
 
 @pytest.mark.parametrize(

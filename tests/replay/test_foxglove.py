@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from tilth.estimator.fold import initial, step
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.flow import PARAMETERS, Mount
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.traffic import simulate
 
 LAYOUT = ROOT / "deploy/foxglove/tilth.json"
@@ -42,7 +43,7 @@ MACHINE = demo_machine(
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a simulated drive."""
     path = tmp_path_factory.mktemp("foxglove") / "a.mcap"
-    writer, state = LogWriter(path, MACHINE, TEXT, RunPart("r", 1, START_NS)), initial(MACHINE)
+    writer, state = LogWriter(path, MachineFile(MACHINE, TEXT), RunPart("r", 1, START_NS)), initial(MACHINE)
     for frame in simulate(MACHINE, 1, 12.0):
         writer.frame(frame)
         writer.publications(step(state, frame))

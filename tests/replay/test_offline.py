@@ -21,7 +21,7 @@ from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import EmptyLog, Logged
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import Frame, Publication
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.sentences import event_sentence
@@ -44,7 +44,7 @@ def run(
 ) -> tuple[ReplaySummary, list[str]]:
     messages: list[str] = []
     outputs = ReplayOutputs(writer=writer, comparison=comparison)
-    return replay(paths, MACHINE, MACHINE_TEXT, outputs=outputs, say=messages.append), messages
+    return replay(paths, MachineFile(MACHINE, MACHINE_TEXT), outputs=outputs, say=messages.append), messages
 
 
 # Live is replay
@@ -82,7 +82,7 @@ def test_the_parts_count_together_what_they_count_alone(live: Live) -> None:
 
 def test_out_holds_frames_and_results_and_replays(live: Live, tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("again", 1, 0))
     run(live.parts[1:], writer=writer)
     writer.close()
     third = len(live.rows) - sum(1 for _ in frames(live.parts[0]))
@@ -102,14 +102,14 @@ def test_out_holds_frames_and_results_and_replays(live: Live, tmp_path: Path) ->
 def test_a_state_of_another_machine_file_is_not_taken(live: Live) -> None:
     text = MACHINE_TEXT.replace("mass = 9391.0", "mass = 9400.0")
     messages: list[str] = []
-    other = replay(live.parts[1:], parse_machine(text), text, say=messages.append)
+    other = replay(live.parts[1:], MachineFile(parse_machine(text), text), say=messages.append)
     assert other.frames > 0
     assert len(messages) == 1 and "another machine file" in messages[0]
 
 
 def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 2, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 2, 0))
     writer.snapshot(live.rows[0].t_ns, '{"format": "of the year 2040"}')
     for row in live.rows[:3000]:
         writer.frame(row)
@@ -121,7 +121,7 @@ def test_a_state_of_another_version_is_not_taken(live: Live, tmp_path: Path) -> 
 
 def with_state(live: Live, path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     """The second part of a run as another program, or a faulty disk, would have written its stored state."""
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 2, live.rows[0].t_ns))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 2, live.rows[0].t_ns))
     for row in open_log(live.parts[1]).records:
         if isinstance(row, Frame):
             writer.frame(row)
@@ -148,7 +148,7 @@ def test_a_part_whose_state_is_refused_says_why_and_gives_poses_all_the_same(
     live: Live, tmp_path: Path, change: Callable[[dict[str, Any]], object], reason: str
 ) -> None:
     path, out = with_state(live, tmp_path / "x.mcap", change), tmp_path / "out.mcap"
-    writer = LogWriter(out, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
+    writer = LogWriter(out, MachineFile(MACHINE, MACHINE_TEXT), RunPart("again", 1, 0))
     summary, output = run([path], writer=writer)
     writer.close()
     assert summary.faults == 0 and summary.poses > 20
@@ -212,7 +212,7 @@ def test_what_is_missing_at_the_end_of_a_cut_log_is_no_difference() -> None:
 
 def cut_before_a_pose(live: Live, path: Path) -> Path:
     """The first part as the disk kept it that filled up between a frame and the pose that came of it."""
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, live.rows[0].t_ns))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, live.rows[0].t_ns))
     observed = 0
     for row in open_log(live.parts[0], IDENTICAL).records:
         if isinstance(row, Frame):
@@ -244,7 +244,7 @@ ANOTHER = "another run begins here; counts are of all runs, estimates of the las
 
 def test_another_run_starts_afresh(live: Live, other: Live, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
-    writer = LogWriter(out, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
+    writer = LogWriter(out, MachineFile(MACHINE, MACHINE_TEXT), RunPart("again", 1, 0))
     comparison = Comparison()
     both, output = run([*live.parts, *other.parts], comparison=comparison, writer=writer)
     writer.close()
@@ -261,7 +261,7 @@ def test_another_run_starts_afresh(live: Live, other: Live, tmp_path: Path) -> N
 
 def test_another_run_cut_before_its_first_frame_leaves_the_estimates(live: Live, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
-    LogWriter(cut, MACHINE, MACHINE_TEXT, RunPart("later", 1, 0)).abandon()
+    LogWriter(cut, MachineFile(MACHINE, MACHINE_TEXT), RunPart("later", 1, 0)).abandon()
     summary, _ = run([live.parts[0], cut])
     assert summary.truncated
     assert summary.estimates == run(live.parts[:1])[0].estimates
@@ -339,7 +339,7 @@ def test_two_buses_are_not_guessed_but_can_be_named(live: Live, tmp_path: Path) 
     assert summary.poses == 0
     assert summary.rejected["unknown_source"] > 500
     assert len(output) == 1 and "slcan1, slcan0" in output[0] and "--bus LOG=MACHINE" in output[0]
-    named = replay([path], MACHINE, MACHINE_TEXT, buses={"slcan0": "can0"})
+    named = replay([path], MachineFile(MACHINE, MACHINE_TEXT), buses={"slcan0": "can0"})
     assert named.poses > 5
 
 
@@ -426,7 +426,7 @@ def test_a_fault_of_the_fold_costs_no_frame(
         guarded_fold, "step", lambda state, frame: failing(state, bad if frame == bad else frame)
     )
     path = tmp_path / "out.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("again", 1, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("again", 1, 0))
     comparison = Comparison()
     summary, output = run([part], writer=writer, comparison=comparison)
     writer.close()

@@ -12,6 +12,7 @@ from tilth.replay.player import PlayState, RunPlayer
 from tilth.replay.recorded import Recorded, RecordedRun
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 
 NOW_S = 1000.0  # of the clock when it begins
@@ -114,7 +115,7 @@ def test_at_its_end_it_stays_and_plays_again_from_the_beginning(player: RunPlaye
 
 def test_a_long_silence_is_not_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "silent.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, START_NS))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, START_NS))
     for t_s in (0, 1, 600, 601):
         event = Event(START_NS + t_s * SECOND, "mark", in_words(str(t_s)))
         writer.message("/event", event.t_ns, CHANNEL["/event"].encode(event))

@@ -11,6 +11,7 @@ from tilth.replay.catalogue import run_files
 from tilth.replay.prepared import READING, REPLAYING, Opening
 from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.traffic import simulate
 
 Told = list[tuple[str, float]]
@@ -48,7 +49,7 @@ def test_a_log_of_others_is_replayed_once(tmp_path: Path, told: Told) -> None:
     (run,) = run_files([path])
     with pytest.raises(ForeignLog, match="give --machine"):
         Opening(tmp_path / "kept", "tilth").open(run, teller(told))
-    opening = Opening(tmp_path / "kept", "tilth", (MACHINE, MACHINE_TEXT))
+    opening = Opening(tmp_path / "kept", "tilth", MachineFile(MACHINE, MACHINE_TEXT))
     opened = opening.open(run, teller(told))
     assert opened.run.has_poses and opened.run.length_ns * 1e-9 == pytest.approx(SECONDS, abs=2.0)
     opened.run.close()
@@ -66,7 +67,7 @@ def test_a_log_of_others_is_replayed_once(tmp_path: Path, told: Told) -> None:
 
 def test_one_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
     path = candump(tmp_path / "drive.log", list(simulate(MACHINE, 3, SECONDS)))
-    opening = Opening(tmp_path / "kept", "tilth", (MACHINE, MACHINE_TEXT))
+    opening = Opening(tmp_path / "kept", "tilth", MachineFile(MACHINE, MACHINE_TEXT))
 
     def stop(text: str, share: float) -> None:
         raise KeyboardInterrupt

@@ -14,6 +14,7 @@ from tilth.replay.recorded import MOST_ROWS, Recorded, RecordedRun
 from tilth.replay.turns import LEAST_RAD, turns
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -100,7 +101,7 @@ def test_a_damaged_part_is_left_out(folder: Path) -> None:
 
 def test_after_a_step_of_the_clock_it_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "stepped.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, START_NS))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, START_NS))
     for number, t_s in enumerate((3600, 3601, 3602, 10, 11, 12)):
         event = Event(START_NS + t_s * SECOND, "mark", in_words(str(number)))
         writer.message("/event", event.t_ns, CHANNEL["/event"].encode(event))

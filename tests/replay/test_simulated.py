@@ -17,6 +17,7 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.catalogue import listing, run_files
 from tilth.replay.glance import glance
 from tilth.replay.simulated import REPLAY, SAID, TRUTH, simulated_by
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.traffic import simulate
 
 FRAMES = list(simulate(MACHINE, 5, 3.0))
@@ -24,7 +25,7 @@ Log = Callable[[Path], Path]
 
 
 def written(path: Path, run: RunPart, metadata: dict[str, dict[str, str]], finish: bool = True) -> Path:
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, run)
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), run)
     for name, row in metadata.items():
         writer.metadata(name, row)
     for frame in FRAMES[:400]:

@@ -16,6 +16,7 @@ from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.replay.survey import survey
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -38,7 +39,7 @@ def parts_of(folder: Path, *states: str, ends: ClockReason = ClockReason.END, **
     clock, rows, paths = Clock(), numbered(1000 * len(states)), []
     for number, state in enumerate(states, 1):
         path = folder / f"{NAME}_{number:03d}.mcap"
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns))
+        writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("id", number, rows[0].t_ns))
         writer.clocks(clock, ClockReason.START if number == 1 else ClockReason.NEW_FILE)
         ours = rows[1000 * (number - 1) : 1000 * number]
         for row in ours[:-1]:
@@ -85,7 +86,7 @@ def test_frames_that_no_longer_come_do_not_make_a_healthy_run_a_lost_one(
     paths = parts_of(tmp_path / "logs", "alive", ends=ClockReason.ROTATION)
     t_ns = numbered(1)[0].t_ns + 60_000_000_000
     path = paths[0].with_name(f"{NAME}_002.mcap")
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", 2, t_ns))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("id", 2, t_ns))
     writer.message("/status", t_ns, status(t_ns, "lost"))
     writer.close()
     row, _ = listed(tmp_path / "logs", capsys)
@@ -119,7 +120,7 @@ def test_what_is_being_written_is_neither_unfinished_nor_damaged(
     with path.open("xb", buffering=0) as stream, begun.open("xb") as just_begun:
         for file in (stream, just_begun):
             fcntl.flock(file, fcntl.LOCK_EX)
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", 2, rows[0].t_ns), stream)
+        writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("id", 2, rows[0].t_ns), stream)
         for frame in rows:
             writer.frame(frame)
         mark = Event(rows[-1].t_ns, "mark", in_words("stone"))

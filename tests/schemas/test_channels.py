@@ -4,13 +4,11 @@ from dataclasses import fields
 from typing import Any
 
 import pytest
-from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.schemas import flow
-from tilth.schemas.channels import CHANNELS, KINDS, TOLERANCES, TOPIC_OF, file_descriptor_set, payload
+from tilth.schemas.channels import CHANNELS, KINDS, TOPIC_OF, file_descriptor_set, payload
 from tilth.schemas.proto import tilth_pb2 as pb
 
 ORIGIN = flow.Origin("can0", 28, 0xA00017000421E240, flow.Mount.TRACTOR_REAR)
@@ -64,13 +62,3 @@ def test_a_measurement_is_told_whole(name: str, kind: type[flow.Measurement]) ->
         wanted = getattr(value, f.name)
         assert message.HasField(f.name) == (wanted is not None)
         assert wanted is None or getattr(message, f.name) == wanted
-
-
-@pytest.mark.parametrize(
-    "message",
-    [pb.Pose, pb.BodyPose, pb.SoilTireEstimate, pb.Parameter, pb.Measurement, Vector3, Quaternion],
-)
-def test_every_floating_field_has_its_tolerance(message: Any) -> None:
-    for field in message.DESCRIPTOR.fields:
-        if field.cpp_type == field.CPPTYPE_DOUBLE:
-            assert TOLERANCES[message.DESCRIPTOR.name][field.name] > 0, field.full_name

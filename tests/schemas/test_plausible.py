@@ -191,7 +191,7 @@ RARE = [
     ("scale = 0.01", "scale = 0.0005", "tell -16.38 to 16.38 deg, rarely enough for a wheel"),
     ("e = 0.1", "e = -0.1", "implement.e = -0.1 m: rare"),
     (FRONT, "position = [-1.20, 0.9, 2.9]", "stands behind tractor_rear"),
-    ("= 486e3", "= 486e3\ntrack = 2.8", "tyres.rear.track = 2.8 m: rare, 1 to 2.6 is usual"),
+    ("= 486e3", "= 486e3\ntrack = 3.4", "tyres.rear.track = 3.4 m: rare, 1 to 3.2 is usual"),
     ("= 486e3", '= 486e3\nsize = "5.00-12"\npressure = 0.6', "presses the tyres in by 168 mm, 15 to 160 is"),
 ]
 

@@ -11,7 +11,7 @@ from paths import ROOT
 
 from tilth.cli import main
 from tilth.replay.offline import ReplayOutputs, replay
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import Fieldwork, Scenario, WheelBasedSpeed, parse_scenario
@@ -107,7 +107,7 @@ def test_tyres_that_the_machine_file_does_not_have_are_named_in_a_replay(tmp_pat
         if topic == "/event":
             events.append(pb.Event.FromString(data))
 
-    replay([log], machine, text, outputs=ReplayOutputs(publish=publish))
+    replay([log], MachineFile(machine, text), outputs=ReplayOutputs(publish=publish))
     (moved,) = [event.text for event in events if event.kind == "moved"]
     assert "the tyres' radius has changed by" in moved and "accept it as it is now (wheel_speed)" in moved
     assert not [event.text for event in events if event.kind == "contradiction"]

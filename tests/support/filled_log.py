@@ -13,6 +13,7 @@ from tilth.analysis.runs.run import topics
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import PARAMETERS, Frame
+from tilth.schemas.machine_toml import MachineFile
 
 STEP_NS = 37_000_123
 WORDS = ("", "wet", 'said "so", twice', "line\nbreak", "können")
@@ -28,7 +29,7 @@ def filled_log(
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": chunk_kilobytes})
     began_ns = START_NS + (part - 1) * count * STEP_NS
     writer = LogWriter(
-        path, MACHINE.model_copy(update={"log": log}), MACHINE_TEXT, RunPart(run, part, START_NS)
+        path, MachineFile(MACHINE.model_copy(update={"log": log}), MACHINE_TEXT), RunPart(run, part, START_NS)
     )
     sent: Filled = {topic: [] for topic in topics()}
     frames = []

@@ -19,7 +19,7 @@ from paths import ROOT
 from tilth.logger.clock import Clock
 from tilth.logger.log.run_log import Recording
 from tilth.schemas.flow import Frame
-from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 
 SPACING_NS = 500_000
 BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop makes no frames
@@ -31,7 +31,9 @@ def record(folder: Path, shared: mmap.mmap, frames: int, far: int) -> None:
     """Closes the descriptor `far` when so many frames have been handed over."""
     text = TEXT.replace("[log]", "[log]\nrotate_minutes = 0.01\nkeep_free_megabytes = 1\nchunk_kilobytes = 4")
     clock = Clock()
-    recording = Recording(folder, parse_machine(text), text, clock, lambda *output: None, lambda: "{}")
+    recording = Recording(
+        folder, MachineFile(parse_machine(text), text), clock, lambda *output: None, lambda: "{}"
+    )
     next_ns = clock.t_ns()
     number = 0
     while True:

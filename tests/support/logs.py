@@ -20,6 +20,7 @@ from tilth.replay.readers.log import Logged, OpenLog
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Quantity
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.simulate import Candump
 
@@ -69,7 +70,9 @@ def write_mcap(
     """As the daemon does; where it does not finish, as a kill leaves it. text: of the machine file in it.
     run: its id."""
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": chunk_kilobytes})
-    writer = LogWriter(path, MACHINE.model_copy(update={"log": log}), text, RunPart(run, 1, START_NS))
+    writer = LogWriter(
+        path, MachineFile(MACHINE.model_copy(update={"log": log}), text), RunPart(run, 1, START_NS)
+    )
     for row in rows:
         writer.frame(row)
     if finish:
@@ -131,7 +134,7 @@ def record(folder: Path, rows: Sequence[Frame], parts: int, run: str = "r") -> L
     each = -(-len(rows) // parts)
     for part in range(parts):
         path = folder / f"{run}_{part + 1:03d}.mcap"
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart(run, part + 1, rows[0].t_ns))
+        writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart(run, part + 1, rows[0].t_ns))
         if part:
             writer.snapshot(rows[part * each].t_ns, fold.renew())
         for row in rows[part * each : (part + 1) * each]:
@@ -156,7 +159,7 @@ def results_of(paths: Sequence[Path], topics: frozenset[str] = IDENTICAL) -> dic
 def altered(live: Live, folder: Path, topic: str, count: int, change: str) -> Path:
     """The first part with result number `count` of a topic changed, left out, or there twice."""
     path = folder / "altered.mcap"
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("r", 1, 0))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, 0))
     observed = 0
     for row in open_log(live.parts[0], IDENTICAL).records:
         if isinstance(row, Frame):

@@ -14,6 +14,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.flow import Frame
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import Notice
 from tilth.schemas.sentences import notice_sentence
 
@@ -31,7 +32,12 @@ class Recorder:
         self._later_ns = 0  # by how much the frames are later than they were, for what was waited
         self.fold = GuardedFold(self.machine)
         self.recording = Recording(
-            folder, self.machine, self.text, self.clock, self._report, self.fold.renew, simulated=simulated
+            folder,
+            MachineFile(self.machine, self.text),
+            self.clock,
+            self._report,
+            self.fold.renew,
+            simulated=simulated,
         )
 
     def _report(self, kind: str, told: Notice) -> None:

@@ -8,6 +8,7 @@ from logs import MACHINE, MACHINE_TEXT, SECOND, Live, record
 
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.schemas.flow import Event, Frame, Publication
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
@@ -46,7 +47,7 @@ def marked() -> Path:
     """Frames of the drive, and marks of an operator; no results."""
     path = Path(_folder().name) / "marked.mcap"
     start_ns = frames()[0].t_ns
-    writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("marked", 1, start_ns))
+    writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("marked", 1, start_ns))
     waiting = [(start_ns + round(at_s * SECOND), text) for at_s, text in MARKS]
     for frame in frames():
         while waiting and frame.t_ns >= waiting[0][0]:

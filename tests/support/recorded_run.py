@@ -13,6 +13,7 @@ from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.runs import STAMP
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event, Frame
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 
 SECOND = 1_000_000_000
@@ -68,7 +69,7 @@ def write_run(
     paths = []
     for part in range(parts):
         path = folder / f"{run}_{part + 1:03d}.mcap"
-        writer = LogWriter(path, machine, text, RunPart(f"id {run}", part + 1, start_ns, note))
+        writer = LogWriter(path, MachineFile(machine, text), RunPart(f"id {run}", part + 1, start_ns, note))
         for topic, t_ns, data in rows[part * each : (part + 1) * each]:
             if not topic:
                 writer.frame(Frame(t_ns, t_ns, "can0", 0x18FF0001, True, False, data))

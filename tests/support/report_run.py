@@ -28,6 +28,7 @@ from tilth.schemas.flow import (
     Status,
     WheelAngle,
 )
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason
 
@@ -62,8 +63,7 @@ def write_run(path: Path, run: WrittenRun = WrittenRun()) -> Path:
     log = MACHINE.log.model_copy(update={"chunk_kilobytes": 4})
     writer = LogWriter(
         path,
-        MACHINE.model_copy(update={"log": log}),
-        MACHINE_TEXT,
+        MachineFile(MACHINE.model_copy(update={"log": log}), MACHINE_TEXT),
         RunPart(run.run, 1, START_NS, "clay <dry>"),
     )
     writer.frame(Frame(START_NS, START_NS, "can0", 0x18FF0B15, True, False, run.run.encode()[:8]))

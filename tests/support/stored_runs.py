@@ -10,6 +10,7 @@ from tilth.logger.log.mcap_log import ClockReason, LogWriter, RunPart
 from tilth.logger.log.runs import StoredRun, stored_runs
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.flow import Event
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -34,7 +35,9 @@ def drive(folder: Path, *, lost_rear: bool = False) -> list[Path]:
     rows = numbered(6000)
     for number in (1, 2):
         path = folder / f"{NAME}_{number:03d}.mcap"
-        writer = LogWriter(path, MACHINE, MACHINE_TEXT, RunPart("id", number, rows[0].t_ns, "clay, dry"))
+        writer = LogWriter(
+            path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("id", number, rows[0].t_ns, "clay, dry")
+        )
         writer.clocks(clock, ClockReason.START if number == 1 else ClockReason.NEW_FILE)
         for i, row in enumerate(rows[3000 * (number - 1) : 3000 * number], 3000 * (number - 1)):
             writer.frame(row)

@@ -28,14 +28,14 @@ def main(folder: Path, sector: str = "") -> None:
     from tilth.logger.clock import Clock
     from tilth.logger.log.run_log import Recording
     from tilth.schemas.flow import Frame
-    from tilth.schemas.machine_toml import parse_machine
+    from tilth.schemas.machine_toml import MachineFile, parse_machine
 
     text = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
     text = text.replace("[log]", "[log]\nrotate_minutes = 0.1\nkeep_free_megabytes = 1\nchunk_kilobytes = 16")
     machine = parse_machine(text)
     clock = Clock()
     number = 0
-    recording = Recording(folder, machine, text, clock, lambda *output: None, lambda: "{}")
+    recording = Recording(folder, MachineFile(machine, text), clock, lambda *output: None, lambda: "{}")
     if sector:
         threading.Thread(target=tell, args=(sector, lambda: number), daemon=True).start()
     next_ns = clock.t_ns()

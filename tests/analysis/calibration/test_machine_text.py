@@ -42,6 +42,20 @@ def test_changed_values_say_what_stood_there_and_comments_stay() -> None:
     assert len(changed) == 1 + 1 + 2 + 1  # the heading, c, the tractor's positions, scale; others are new
 
 
+def test_a_file_with_ballast_keeps_what_is_about_the_bare_body() -> None:
+    """What driving finds is of the rig as it drove; written is what the file tells, without its ballast."""
+    ballast = "\n[[tractor.ballast]]\nmass = 900\nahead_of_axle = 4.1\nheight = 0.9\n"
+    text = TEXT + ballast
+    machine = parse_machine(text)
+    assert machine.tractor.c.value > MACHINE.tractor.c.value + 0.1
+    assert rewritten(text, machine, machine, SAME, "2026-05-04") == text
+    after = applied(machine, Changes(hitch=np.array([0.05, 0.0])))
+    made = rewritten(text, machine, after, SAME, "2026-05-04")
+    assert "c = {value = 2.15, sd = 0.02} # calibrate 2026-05-04; was 2.1 (sd 0.02)" in made
+    assert from_to(machine, after, SAME)["c"] == "c 2.1 → 2.15"
+    assert parse_machine(made).tractor.c.value == pytest.approx(after.tractor.c.value)
+
+
 def test_a_second_calibration_says_what_the_first_one_put_there() -> None:
     """Only that, and what people wrote: comments do not grow with each drive."""
     text = TEXT.replace("c = 2.1\n", "c = 2.1  # to the pin, by tape\n")

@@ -16,6 +16,7 @@ from tilth.estimator.calibration.changes import Changes
 from tilth.estimator.calibration.steering_response import SteeringResponse
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Frame, Word
+from tilth.schemas.machine_toml import MachineFile
 
 pytestmark = pytest.mark.long
 
@@ -51,7 +52,7 @@ def test_how_the_wheels_follow_is_told_by_the_wheel_angle_of_the_found_file(driv
 
 
 def test_the_report_has_all_that_was_found(drive: Path) -> None:
-    found = calibrate_logs([drive], MACHINE, MACHINE_TEXT, {}, print, lambda what, share: None)
+    found = calibrate_logs([drive], MachineFile(MACHINE, MACHINE_TEXT), {}, print, lambda what, share: None)
     report = report_of(found)
     assert [section.id for section in report.sections][:2] == ["glance", "numbers"]
     (table,) = [part for part in report.sections[1].parts if isinstance(part, ReportTable)]

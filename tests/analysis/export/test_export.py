@@ -22,7 +22,7 @@ from tilth.analysis.export.naming import NAMES, TOPICS, choose
 from tilth.analysis.runs.kept import sha256_of
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.cli import main
-from tilth.logger.log.mcap_log import machine_sha256, software
+from tilth.logger.log.software import software
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_all_channels_with_all_that_is_known(run: Run, tmp_path: Path) -> None:
     about = json.loads((tmp_path / "r" / "export.json").read_text())
     (source,) = about["sources"]
     assert source["sha256"] == sha256_of(run.sources[0]) and source["file"] == "run.mcap"
-    assert about["machine"] == {"toml": MACHINE_TEXT, "sha256": machine_sha256(run.machine, MACHINE_TEXT)}
+    assert about["machine"] == {"toml": MACHINE_TEXT, "sha256": run.machine_file.sha256}
     assert about["tilth"] == software()["version"]
     for name, topic in TOPICS.items():
         table = polars.read_parquet(tmp_path / "r" / f"{name}.parquet")

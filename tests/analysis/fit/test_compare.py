@@ -17,7 +17,7 @@ def test_a_wheel_zero_that_moved_is_told() -> None:
     moved = answer()
     moved["joint"]["nuisances"]["wheel_zero"]["value"] = 0.05
     found = compare(answer(), moved)
-    assert found.differ and "wheel_zero from 0.01 to 0.05" in found.sentence
+    assert found.differ and "when straight (wheel_zero) from 0.573 ° to 2.86 °" in found.sentence
     assert found.p > 0.9 and json.dumps(asdict(found))
 
 
@@ -48,3 +48,8 @@ def test_what_has_no_joint_number_says_why() -> None:
         row |= {"value": None, "sd": None, "status": "unestimated", "reason": "the segments do not agree"}
     found = compare(answer(), other)
     assert found.dof == 0 and "(the segments do not agree)" in found.sentence and len(found.missing) == 6
+
+
+def test_one_drive_beside_itself_is_named() -> None:
+    found = compare(answer(), answer())
+    assert not found.differ and "they are of one drive" in found.sentence

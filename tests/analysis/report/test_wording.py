@@ -2,13 +2,9 @@
 
 import pytest
 
-from tilth.analysis.report import nuisance_words, wording
-from tilth.analysis.report.nuisance_words import WORDS, nuisance_text
+from tilth.analysis.report import wording
 from tilth.analysis.report.wording import NOTHING
-from tilth.estimator.filters.unknowns import NAMES
 from tilth.replay.estimates_json import ParameterEntry
-from tilth.schemas.flow import PARAMETERS
-from tilth.schemas.machine import Machine
 
 UNKNOWN: ParameterEntry = {"value": None, "sd": None, "status": "invalid", "reason": ""}
 
@@ -40,32 +36,3 @@ UNKNOWN: ParameterEntry = {"value": None, "sd": None, "status": "invalid", "reas
 )
 def test_texts(told: str, text: str) -> None:
     assert told == text
-
-
-def test_every_unknown_has_words() -> None:
-    assert set(WORDS) == set(NAMES[len(PARAMETERS) :])
-
-
-def test_the_keys_exist_in_the_machine_file() -> None:
-    for row in WORDS.values():
-        if row.key:
-            section, name = row.key.split(".")
-            kind = Machine.model_fields[section].annotation
-            inner = getattr(kind, "__args__", (kind,))[0]
-            assert name in inner.model_fields, row.key  # type: ignore[union-attr]
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "sd", "text"),
-    [
-        ("wheel_zero", 0.01, 0.001, "0.57 ± 0.11 °"),
-        ("latency", 0.02, 0.005, "20.0 ± 9.8 ms"),
-        ("wheel_gain", 0.0, 0.02, "1.000 ± 0.039"),
-        ("push_t", -3.0, 0.3, "0.050 (0.028 … 0.090) m/s²"),
-        ("lever_t", 0.012, 0.01, "12 ± 20 mm"),
-        ("rolling", 0.04, 0.01, "0.040 ± 0.020"),
-    ],
-)
-def test_nuisances_in_peoples_units(name: str, value: float, sd: float, text: str) -> None:
-    assert nuisance_text(name, value, sd) == text
-    assert nuisance_words.WORDS[name].form

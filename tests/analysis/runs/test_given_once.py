@@ -11,6 +11,7 @@ from tilth.analysis.runs.given_once import GivenTwice
 from tilth.analysis.runs.run import open_runs
 from tilth.cli import main
 from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.traffic import simulate
 
 UUID = "0123456789abcdef" * 2
@@ -58,7 +59,7 @@ def test_other_driving_is_not(names: tuple[str, ...], runs: int, logs: Path) -> 
 def test_drives_of_one_command_are_runs_of_their_own(tmp_path: Path) -> None:
     """As `tilth simulate` names them: the same seed and start, another scenario."""
     for name, seed in (("one", 3), ("two", 4)):
-        writer = LogWriter(tmp_path / name, MACHINE, MACHINE_TEXT, RunPart("simulated-3", 1, 0))
+        writer = LogWriter(tmp_path / name, MachineFile(MACHINE, MACHINE_TEXT), RunPart("simulated-3", 1, 0))
         for frame in simulate(MACHINE, seed, 2.0):
             writer.frame(frame)
         writer.close()

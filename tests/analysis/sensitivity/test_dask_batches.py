@@ -238,5 +238,5 @@ def test_workers_of_another_version_are_refused() -> None:
 
 def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(DaskProblem, match=r"pip install tilth\[dask\]"):
+    with pytest.raises(DaskProblem, match=r"pip install 'tilth\[dask\]'|uv sync .*dask"):
         run(PLAN, tmp_path, on_dask("tcp://127.0.0.1:1"))

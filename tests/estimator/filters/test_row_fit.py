@@ -12,7 +12,18 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.row_fit import OUTPUTS, RowFit, across_row, along_north, epochs_of, fitted
 from tilth.estimator.filters.unknowns import AT
-from tilth.estimator.record.record import EAST, KIND, NORTH, PSI, SD, VALUE, VELOCITY, YAW_RATE, Record
+from tilth.estimator.record.record import (
+    EAST,
+    KIND,
+    NORTH,
+    PSI,
+    SD,
+    VALUE,
+    VELOCITY,
+    WHEEL_ANGLE,
+    YAW_RATE,
+    Record,
+)
 
 Array = NDArray[np.float64]
 
@@ -105,6 +116,32 @@ def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
         assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
         ratios.append((found.mean - true)[:6] / sds)
     assert np.sum(np.abs(ratios) < 2.0) >= 16 and np.abs(ratios).max() < 3.5
+
+
+def test_a_wrong_zero_of_the_wheel_angle_changes_nothing() -> None:
+    """Of a row, in which it is what the wheels read on average."""
+    row = driven(45.0, 3, MEAN)
+    off = Record(0, row.ticks.copy(), row.rows)
+    off.ticks[:, WHEEL_ANGLE] += np.radians(4.0)
+    right, wrong = (fitted([one], SETUP, MEAN, COVARIANCE) for one in (row, off))
+    assert right and wrong
+    np.testing.assert_allclose(wrong.mean[:6], right.mean[:6], atol=0.01)
+
+
+def test_no_number_is_surer_than_the_rows_make_it_at_the_priors_point() -> None:
+    """Of soft tyres and long lengths, where slopes are large; a short row with much noise."""
+    true = MEAN.copy()
+    true[:6] += (0.0, 0.0, -0.6, 0.3, 0.3, 0.7)
+    row = driven(45.0, 5, true)
+    problem = RowFit([row], SETUP, MEAN, COVARIANCE)
+    alone, found = problem.maximise(), fitted([row], SETUP, MEAN, COVARIANCE)
+    assert found
+    first, at_end, said = (
+        np.diag(of)[:6] for of in (problem.first_covariance, alone.covariance, found.covariance)
+    )
+    assert np.any(at_end < 0.9 * first)
+    assert np.all(said >= (1.0 - 1e-9) * first) and np.all(said < SD_PRIOR[:6] ** 2 * 1.01)
+    assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
 
 
 def test_without_receivers_on_a_body_it_says_so() -> None:

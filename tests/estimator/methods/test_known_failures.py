@@ -172,7 +172,7 @@ UNSURE: Changes = (("delay = 0.01", "delay = 0.01\ngain = { value = 1.0, sd = 0.
 def from_data(run: Run, method: str) -> Array:
     """Covariance of the six without errors of the model, which no gain can change, nor of the file."""
     file = run.state.diagnosis.consistency.widening
-    covariance = (np.reshape(run.last(method).log_covariance, (6, 6)) - file.covariance) / file.factor
+    covariance = np.reshape(run.last(method).log_covariance, (6, 6)) - file.covariance
     errors = run.state.estimators[method].model_sd if method == pem.METHOD else np.zeros(6)
     return np.asarray(covariance - np.diag(errors**2), np.float64)
 

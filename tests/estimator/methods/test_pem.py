@@ -27,7 +27,7 @@ from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import HEADING, YAW_RATE, Record, Segment, concatenate
-from tilth.estimator.results.reporting import take_events
+from tilth.estimator.results.method_state import take_events
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Frame, Pose, Status

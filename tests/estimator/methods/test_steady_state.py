@@ -21,7 +21,7 @@ from tilth.estimator.filters.steady_outputs import (
 )
 from tilth.estimator.methods import steady_state
 from tilth.estimator.models.parameters import rig_of
-from tilth.estimator.results.reporting import take_events
+from tilth.estimator.results.method_state import take_events
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Flag, Pose, Status
 from tilth.schemas.reasons import Code, Reason

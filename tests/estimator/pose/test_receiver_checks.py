@@ -25,6 +25,7 @@ from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Event, Flag, FlagKind, Frame, Measurement, Mount, Pose, YawRate
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.sentences import event_sentence, sentence
 from tilth.simulator.scenario import Ground, Scenario
 from tilth.simulator.traffic import simulate
@@ -354,6 +355,11 @@ def test_live_and_replay_find_it_alike(rows: list[Frame], tmp_path: Path) -> Non
     live = record(tmp_path, rows, 3)
     for parts in (live.parts, live.parts[2:]):
         comparison, lines = Comparison(), list[str]()
-        replay(parts, MACHINE, MACHINE_TEXT, outputs=ReplayOutputs(comparison=comparison), say=lines.append)
+        replay(
+            parts,
+            MachineFile(MACHINE, MACHINE_TEXT),
+            outputs=ReplayOutputs(comparison=comparison),
+            say=lines.append,
+        )
         assert comparison.compared > 0 and comparison.difference == ""
         assert sum("turn its smoothing off" in text for text in lines) == (2 if parts == live.parts else 0)

@@ -66,6 +66,28 @@ def test_what_ends_a_row(other: dict[str, object], reason: Code | None) -> None:
     assert seconds(block) == pytest.approx(ROWS.shortest_s)
 
 
+@pytest.mark.parametrize("zero", [-0.2, 0.07, 0.2])
+def test_what_wheels_read_when_straight_is_as_the_row_says(zero: float) -> None:
+    """A zero that the file has 4 degrees wrong and more; the first second still is of the way in."""
+    block, at = Block(), 0
+    for lasting in (0.05, 0.02, 0.01):
+        observe(block, segment(at, wheel=zero + lasting))
+        at += 1
+    for wiggle in np.resize([-0.03, 0.03], SHORTEST):
+        observe(block, segment(at, wheel=zero + float(wiggle)))
+        at += 1
+    assert block.reason is None and seconds(block) == pytest.approx((SHORTEST + 3) * 0.2)
+    observe(block, segment(at, wheel=zero + 1.1 * ROWS.straight))
+    assert block.reason is Code.NOT_STRAIGHT and len(block.complete) == 1
+
+
+def test_a_row_begins_though_the_wheels_still_turn_back() -> None:
+    block = Block()
+    observe(block, segment(0, wheel=0.15))
+    assert drive(block, 1, SHORTEST + 1) and block.refused == {Code.TOO_SHORT: 1, Code.NOT_STRAIGHT: 1}
+    assert block.reason is None and len(block.row) == SHORTEST
+
+
 def test_a_short_row_is_counted_and_not_used() -> None:
     block = Block()
     at = drive(block, 0, SHORTEST - 1)

@@ -55,7 +55,35 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
         "steady_state",
         "first of",
     ),
-    ("rows are not recommended yet", (estimate("rows", sd=0.01), estimate("pem")), "pem", "first of"),
+    (
+        "rows know more",
+        (estimate("rows", sd=0.04), estimate("pem")),
+        "rows",
+        "±7.8 % (95 %) on average, pem to ±10",
+    ),
+    ("rows know less", (estimate("rows", sd=0.06), estimate("pem")), "pem", "first of"),
+    ("rows have fewer", (estimate("rows", THREE, sd=0.01), estimate("pem")), "pem", "first of"),
+    ("rows have more", (estimate("rows", sd=0.06), estimate("steady_state", THREE)), "rows", "in turns"),
+    (
+        "rows alone",
+        (estimate("rows", sd=0.2), estimate("pem", U), estimate("tracker", U)),
+        "rows",
+        "in turns",
+    ),
+    ("new rows before stale", (estimate("rows", sd=0.2), estimate("pem", S)), "rows", "in turns"),
+    ("stale rows", (estimate("rows", S, sd=0.01), estimate("pem")), "pem", "first of"),
+    (
+        "rows beside the one that is best in turns",
+        (estimate("rows", sd=0.04), estimate("pem", age=121.0, sd=0.01), estimate("tracker")),
+        "rows",
+        "tracker to ±10",
+    ),
+    (
+        "changed since the rows",
+        (estimate("rows", sd=0.01), estimate("tracker", change=5.0), estimate("pem", age=4.0)),
+        "pem",
+        "first of",
+    ),
     (
         "soil in patches",
         (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.99}), estimate("pem")),
@@ -171,6 +199,12 @@ def test_where_methods_disagree_the_one_that_uses_more_of_the_drive_is_recommend
     assert best.parameters == more.parameters and best.rule is not None
     assert best.rule == Reason(Code.KNOWS_MORE, (knows_more, "steady_state"))
     assert sentence(best.rule).startswith(f"{knows_more}: it uses more of the drive than steady_state")
+
+
+def test_rows_that_know_more_stay_while_others_disagree() -> None:
+    pem, steady = estimate("pem"), estimate("steady_state", THREE, off=2.0)
+    best = recommend(by_method(estimate("rows", sd=0.04), pem, steady), 7, disagree=True)
+    assert best.rule is not None and best.rule.code is Code.ROWS_KNOW_MORE
 
 
 def test_only_what_is_estimated_now_can_disagree() -> None:

@@ -14,18 +14,20 @@ from pathlib import Path
 
 import can
 import pytest
+from logs import MACHINE_TEXT
 from loopback import free_port, machine_text, rig, udp_bus
 from paths import SHARED
 
 from tilth.cli import duration, main
 from tilth.logger.checks import check as check_module
-from tilth.logger.checks.check import check
+from tilth.logger.checks.check import _configuration, check
 from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import Clock, Relation
 from tilth.logger.machine_file import read_machine
 from tilth.replay.discover import BusSurvey
 from tilth.replay.machine_draft import draft
 from tilth.schemas.machine import MachineError
+from tilth.schemas.machine_toml import parse_machine
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-check"\n\n'
 SECONDS = 0.4  # long enough that a busy computer hears the other thread
@@ -66,9 +68,8 @@ def test_all_is_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     answer = json.loads(capsys.readouterr().out)
     assert answer["ok"] is True
     whats = [row["what"] for row in answer["checks"]]
-    assert whats[:2] == ["configuration", "bus can0"] and {"log folder", "disk", "clock", "zenoh"} <= set(
-        whats
-    )
+    assert whats[:3] == ["configuration", "loads", "bus can0"]
+    assert {"log folder", "disk", "clock", "zenoh"} <= set(whats)
     assert {row["state"] for row in answer["checks"]} <= {"ok", "note", "warning"}
 
 
@@ -253,3 +254,16 @@ def test_a_reader_that_leaves_does_not_change_the_exit_status(tmp_path: Path) ->
             words, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=120, check=False
         )
     assert (ended.returncode, ended.stderr) == (1, "")
+
+
+def test_what_a_scale_would_show_is_said_with_ballast() -> None:
+    """Moments by hand: 600 kg, 1.2 m ahead of the front axle, load it with more than they weigh."""
+    ballast = "[[tractor.ballast]]\nmass = 600\nahead_of_axle = 4.1\nheight = 0.9\n"
+    bare, loaded = (
+        next(found.text for found in _configuration(parse_machine(text)) if found.what == "loads")
+        for text in (MACHINE_TEXT, f"{MACHINE_TEXT}\n{ballast}")
+    )
+    assert bare.startswith("tractor 9391 kg, implement 2127 kg; on a scale the front axle")
+    assert loaded.startswith("tractor 9991 kg, implement 2127 kg (with 600 kg of ballast on the tractor)")
+    front = [float(text.split("front axle stands at ")[1].split(" kg")[0]) for text in (bare, loaded)]
+    assert front[1] - front[0] == pytest.approx(600 * 4.1 / 2.9, abs=1.0)

@@ -18,6 +18,7 @@ from tilth.logger.display import NoDisplay
 from tilth.logger.log.runs import stored_runs
 from tilth.replay.survey import survey
 from tilth.schemas.flow import Event
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.sentences import event_sentence
 
 NAME = "rig_20260301T080000Z"
@@ -190,7 +191,7 @@ def test_one_that_was_left_unfinished_ends_no_run(tmp_path: Path) -> None:
     part(tmp_path, os.fsdecode(b"caf\xe9_20260301T080000Z"), 1, finish=False)
     machine, text = rig(tmp_path, '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "none"\n\n')
     told = Told()
-    daemon = Daemon(machine, text, tmp_path, None, told)
+    daemon = Daemon(MachineFile(machine, text), tmp_path, None, told)
     while not any(event.kind == "log" for event in told.events):
         daemon.turn(0.05)
     daemon.close()

@@ -17,6 +17,7 @@ from tilth.logger.log.derived import RECENT_S, Derived, reports_in
 from tilth.logger.log.room import Room
 from tilth.replay.kept_room import NoRoom
 from tilth.replay.prepared import prepare
+from tilth.schemas.machine_toml import MachineFile
 from tilth.simulator.traffic import simulate
 
 SIZE = 1000
@@ -106,8 +107,8 @@ def test_a_log_is_not_replayed_to_a_disk_that_is_too_full(tmp_path: Path) -> Non
     machine = MACHINE.model_copy(update={"log": full})
     old = made(tmp_path / "kept" / ("0" * 32 + ".fit"), 50)
     with pytest.raises(NoRoom, match="make room, or name another disk by XDG_CACHE_HOME"):
-        replayed(log, machine, MACHINE_TEXT, {}, lambda done, of: None, print, tmp_path / "kept")
+        replayed(log, MachineFile(machine, MACHINE_TEXT), {}, lambda done, of: None, print, tmp_path / "kept")
     assert not old.exists() and left(tmp_path / "kept") == []
     with pytest.raises(NoRoom):
-        prepare([log], machine, MACHINE_TEXT, tmp_path / "kept" / "x_0123456789abcdef.mcap")
+        prepare([log], MachineFile(machine, MACHINE_TEXT), tmp_path / "kept" / "x_0123456789abcdef.mcap")
     assert left(tmp_path / "kept") == [] and log.exists()

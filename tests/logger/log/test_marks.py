@@ -22,6 +22,7 @@ from tilth.logger.log.marks import EACH
 from tilth.logger.log.recovery import finish
 from tilth.logger.run_parts import all_rejected
 from tilth.schemas.limiter import LOCAL
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 
 KEY = "tilth/jd7930-parker500/mark"
@@ -30,7 +31,7 @@ KEY = "tilth/jd7930-parker500/mark"
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
-    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as one:
+    with turning(Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())) as one:
         yield one
 
 
@@ -39,7 +40,7 @@ def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     """One for many queries."""
     folder = tmp_path_factory.mktemp("listening")
     machine, text = rig(folder, udp_bus("can0", free_port()))
-    with turning(Daemon(machine, text, folder / "logs", "", NoDisplay())) as one:
+    with turning(Daemon(MachineFile(machine, text), folder / "logs", "", NoDisplay())) as one:
         yield one
 
 
@@ -75,7 +76,7 @@ def test_a_mark_tells_utc_where_the_computer_woke_in_1970(
     behind_ns = truth_ns - 20_000_000_000
     monkeypatch.setattr(time, "time_ns", lambda: wall() - behind_ns)
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
-    daemon = Daemon(machine, text, tmp_path / "logs", "", NoDisplay())
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())
     path = tmp_path / "m.toml"
     path.write_text(text)
     with turning(daemon):
@@ -144,7 +145,7 @@ def test_what_is_no_mark_is_refused_with_a_reason_and_changes_nothing(daemon: Da
 def test_a_mark_that_cannot_be_recorded_is_refused(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file where the folder should be")
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
-    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())) as daemon:
+    with turning(Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())) as daemon:
         assert daemon.parts.outlets.sink is not None
         with session(daemon.parts.outlets.sink.endpoints) as other:
             (reply,) = ask(other, KEY, "here")
@@ -158,7 +159,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert "tilth run" in capsys.readouterr().err
     machine, text = rig(tmp_path / "logs", udp_bus("can0", free_port()))
     file.write_text(text)
-    with turning(Daemon(machine, text, tmp_path / "logs", "", NoDisplay())):
+    with turning(Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay())):
         assert main(["mark", "stone", "--machine", str(file)]) == 0
         assert "marked: stone" in capsys.readouterr().out
         assert main(["mark", "x" * 2000, "--machine", str(file)]) == 2
@@ -170,7 +171,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 def test_the_command_in_a_simulation(tmp_path: Path) -> None:
     """As `tilth demo` runs the daemon, and as the page marks there."""
     machine, text = rig(tmp_path, udp_bus("can0", free_port()))
-    with turning(Daemon(machine, text, tmp_path / "logs", "replay", NoDisplay())):
+    with turning(Daemon(MachineFile(machine, text), tmp_path / "logs", "replay", NoDisplay())):
         assert main(["mark", "stone", "--endpoint", machine.zenoh.listen[0]]) == 0
     assert noted(tmp_path / "logs", tmp_path) == ["stone"]
 

@@ -31,6 +31,7 @@ from tilth.logger.log.recovery import finish
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.flow import Event, Frame, Publication
 from tilth.schemas.machine import Machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
@@ -60,7 +61,7 @@ def test_frames_come_back_as_they_were_in_their_order(
     tmp_path_factory: pytest.TempPathFactory, some: list[Frame]
 ) -> None:
     folder = tmp_path_factory.mktemp("log")
-    writer = LogWriter(folder / "a.mcap", *rig(folder, udp_bus("can0", 1)), RUN)
+    writer = LogWriter(folder / "a.mcap", MachineFile(*rig(folder, udp_bus("can0", 1))), RUN)
     for frame in some:
         writer.frame(frame)
     writer.close()
@@ -72,7 +73,7 @@ def test_frames_come_back_as_they_were_in_their_order(
 def test_a_log_explains_itself(tmp_path: Path, machine: tuple[Machine, str]) -> None:
     """The schemas in the file are enough to read it, and the machine file is there word for word."""
     path = tmp_path / "a.mcap"
-    writer = LogWriter(path, *machine, RUN)
+    writer = LogWriter(path, MachineFile(*machine), RUN)
     writer.frame(numbered(1)[0])
     writer.publications([Publication(START_NS, "/event", Event(START_NS, "mark", in_words("here")))])
     writer.snapshot(START_NS, "{}")
@@ -101,7 +102,7 @@ def test_every_channel_can_be_logged_and_its_schema_is_whole(
     tmp_path: Path, machine: tuple[Machine, str]
 ) -> None:
     path = tmp_path / "a.mcap"
-    writer = LogWriter(path, *machine, RUN)
+    writer = LogWriter(path, MachineFile(*machine), RUN)
     for channel in CHANNELS:
         writer.message(channel.topic, START_NS, b"")
     writer.close()
@@ -112,7 +113,7 @@ def test_every_channel_can_be_logged_and_its_schema_is_whole(
 def test_a_log_is_never_overwritten(tmp_path: Path, machine: tuple[Machine, str]) -> None:
     (tmp_path / "a.mcap").write_bytes(b"precious")
     with pytest.raises(FileExistsError):
-        LogWriter(tmp_path / "a.mcap", *machine, RUN)
+        LogWriter(tmp_path / "a.mcap", MachineFile(*machine), RUN)
     assert (tmp_path / "a.mcap").read_bytes() == b"precious"
 
 
@@ -120,7 +121,7 @@ def test_a_log_is_never_overwritten(tmp_path: Path, machine: tuple[Machine, str]
 def unfinished(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[int]]:
     """A file of 1000 frames that was never finished, and its size after each flush, each 100 frames."""
     folder = tmp_path_factory.mktemp("cut")
-    writer = LogWriter(folder / "a.mcap", *rig(folder, udp_bus("can0", 1)), RUN)
+    writer = LogWriter(folder / "a.mcap", MachineFile(*rig(folder, udp_bus("can0", 1))), RUN)
     sizes = []
     for number, frame in enumerate(numbered(1000), 1):
         writer.frame(frame)

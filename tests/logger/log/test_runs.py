@@ -13,6 +13,7 @@ from tilth.logger.clock import LEAST_TIMES, Clock
 from tilth.logger.log.run_log import Recording
 from tilth.logger.log.runs import DAY_NS, Copied, Sidecar, may_go, stored_runs, unused_name
 from tilth.replay.survey import survey
+from tilth.schemas.machine_toml import MachineFile
 
 NOW_NS = 1_772_352_000_000_000_000 + 40 * DAY_NS  # forty days later
 
@@ -70,7 +71,7 @@ def test_a_computer_that_woke_in_1970_gives_logs_that_come_out_right(
     folder = tmp_path / "logs"
     machine, text = rig(folder, udp_bus("can0", 1))
     clock = Clock()
-    recording = Recording(folder, machine, text, clock, lambda *output: None, lambda: "{}")
+    recording = Recording(folder, MachineFile(machine, text), clock, lambda *output: None, lambda: "{}")
     assert recording.files[0].name.startswith("jd7930-parker500_19700101T0000")
     t_ns = clock.t_ns()
     for number, frame in enumerate(numbered(4000, t_ns)):

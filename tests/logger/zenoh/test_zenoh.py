@@ -20,6 +20,7 @@ from tilth.logger.zenoh.sink import STALE_NS, ZenohSink
 from tilth.schemas.channels import CHANNELS, payload
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Publication, Status
 from tilth.schemas.machine import Machine, Zenoh
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 
 LASTING = ("status", "event", "rig", "report")  # what was said last still holds
@@ -208,7 +209,7 @@ def test_a_port_that_another_kind_of_program_has_costs_no_more_than_a_moment(mac
 
 def problems(machine: Machine, folder: Path) -> list[str]:
     """Those of Zenoh in the last status of a run."""
-    daemon = Daemon(machine, "", folder, "", NoDisplay())
+    daemon = Daemon(MachineFile(machine, ""), folder, "", NoDisplay())
     daemon.turn(0.0)
     return [text for text in daemon.close().problems if text.startswith("zenoh: ")]
 

@@ -13,6 +13,7 @@ from tilth.replay.readers import arrays
 from tilth.replay.readers.arrays import FrameArrays, read_frames
 from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto.tilth_pb2 import CanFrame
 
 
@@ -77,7 +78,7 @@ def test_a_frame_that_is_none_is_counted_and_a_later_version_is_read(tmp_path: P
 
 
 def test_what_holds_no_frames(tmp_path: Path) -> None:
-    LogWriter(tmp_path / "empty.mcap", MACHINE, MACHINE_TEXT, RunPart("r", 1, 0)).close()
+    LogWriter(tmp_path / "empty.mcap", MachineFile(MACHINE, MACHINE_TEXT), RunPart("r", 1, 0)).close()
     with pytest.raises(EmptyLog):
         read_frames(tmp_path / "empty.mcap")
     (tmp_path / "text.mcap").write_text("hello, this is no log")

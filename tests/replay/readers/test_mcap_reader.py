@@ -12,6 +12,7 @@ from mcap.writer import CompressionType, Writer
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.readers.any_log import frames, metadata, open_log
 from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
 
@@ -30,7 +31,7 @@ def test_mcap_gives_what_was_logged(tmp_path: Path) -> None:
 
 def test_snapshots_and_results_stand_where_they_were_logged(tmp_path: Path) -> None:
     first, second = some_frames(2)
-    writer = LogWriter(tmp_path / "x.mcap", MACHINE, MACHINE_TEXT, RunPart("run", 1, 0))
+    writer = LogWriter(tmp_path / "x.mcap", MachineFile(MACHINE, MACHINE_TEXT), RunPart("run", 1, 0))
     writer.frame(first)
     writer.message("/pose", 5, b"pose")
     writer.message("/event", 6, b"event")

@@ -3,9 +3,8 @@
 import math
 from typing import Final, NamedTuple
 
-from tilth.analysis.report.wording import SAYS, interval_text
 from tilth.schemas.flow import Mount
-from tilth.schemas.spread import of_logarithm
+from tilth.schemas.spread import of_logarithm, plus_minus
 
 
 class NuisanceWords(NamedTuple):
@@ -79,11 +78,20 @@ WORDS: Final[dict[str, NuisanceWords]] = {
 }  # fmt: skip
 
 
+def nuisance_value(name: str, value: float) -> str:
+    """Value alone in people's units, to three digits."""
+    row = WORDS[name]
+    if row.form == LOG:
+        return " ".join(filter(None, (f"{math.exp(value) * row.scale:.3g}", row.unit)))
+    scale, unit = _SCALES[row.form]
+    return " ".join(filter(None, (f"{value * scale:.3g}", unit)))
+
+
 def nuisance_text(name: str, value: float, sd: float) -> str:
     """Value and 95 % interval in people's units; who shows it says that it is 95 %."""
     row = WORDS[name]
     if row.form == LOG:
         centre = math.exp(value) * row.scale
-        return of_logarithm(centre, centre * sd, row.unit).removesuffix(SAYS)
+        return of_logarithm(centre, centre * sd, row.unit, bare=True)
     scale, unit = _SCALES[row.form]
-    return interval_text(value * scale, sd * scale, unit)
+    return plus_minus(value * scale, sd * scale, unit, bare=True)

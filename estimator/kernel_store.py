@@ -1,0 +1,81 @@
+"""Where compiled kernels lie: in the package, which carries them as built, else where numba keeps them.
+
+A wheel is built for a baseline that all processors of a family have had for ten years, and a checkout
+compiles for the same. A processor that lacks the baseline compiles for itself, at the first start.
+
+The name of a file holds the digest of all that is compiled into it (kernel_digest.py) and what it is compiled
+for, so that what is found by its name is never stale, wherever it was built.
+"""
+
+import functools
+import platform
+from importlib import resources
+from typing import Any, Final
+
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+from numba.core import config
+from numba.core.caching import InTreeCacheLocator
+
+BASELINES: Final = {
+    "x86_64": ("x86-64-v3", ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")),
+    "aarch64": ("generic", ()),  # armv8-a
+}
+"""Processor family -> what LLVM calls its baseline, and the features that make it up."""
+PACKAGED: Final = resources.files("tilth.estimator") / "kernels"
+
+
+class InPackage(InTreeCacheLocator):
+    """numba's locator of kernels that are kept in the package: in a checkout, and while a wheel is built."""
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        self._cache_path = str(PACKAGED)
+
+    def get_source_stamp(self) -> str:
+        return ""  # the name says all
+
+    def get_disambiguator(self) -> str:
+        return target()
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        return super().from_function(py_func, py_file) if PACKAGED.is_dir() else None
+
+
+class Packaged(InPackage):
+    """Of those that the package holds already. It need not be writable."""
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        held = any(py_func.__qualname__ in name for name in _names())
+        return cls(py_func, py_file) if held else None
+
+
+def choose() -> str:
+    """Have numba look here and compile for the baseline, unless it was told otherwise. Returns the target."""
+    settings: Any = config  # numba sets its attributes itself
+    if not settings.CACHE_LOCATOR_CLASSES:
+        places = f"{__name__}.Packaged", "UserProvidedCacheLocator", f"{__name__}.InPackage"
+        settings.CACHE_LOCATOR_CLASSES = ",".join((*places, "UserWideCacheLocator"))
+    if settings.CPU_NAME is None and has_baseline():
+        settings.CPU_NAME, settings.CPU_FEATURES = BASELINES[platform.machine()][0], ""
+    return target()
+
+
+def has_baseline() -> bool:
+    """Whether this processor runs what is compiled for its family."""
+    _, needed = BASELINES.get(platform.machine(), ("", ("unknown",)))
+    there = get_host_cpu_features()
+    return all(there.get(feature, False) for feature in needed)
+
+
+def target() -> str:
+    """What kernels are compiled for: a name without a slash."""
+    settings: Any = config
+    return settings.CPU_NAME or get_host_cpu_name()
+
+
+@functools.cache
+def _names() -> frozenset[str]:
+    """Of the files that the package held when the process first asked."""
+    return frozenset(entry.name for entry in PACKAGED.iterdir()) if PACKAGED.is_dir() else frozenset()

@@ -1,0 +1,88 @@
+"""What methods have in common whose fits are computed outside the fold (pem, rows): from the request to the
+adoption, and how old what they tell is."""
+
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Annotated, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.record.record import Segment
+from tilth.estimator.record.record_builder import WAYS_OF_DRIVING
+from tilth.estimator.record.windows import OPEN, late_reason, refuse
+from tilth.estimator.results.method_state import SixState, step_clock
+from tilth.estimator.results.reporting import age_s, stale_reason
+from tilth.estimator.state_json import Shape
+from tilth.schemas.flow import EventKind, Pose
+from tilth.schemas.notices import reasoned
+from tilth.schemas.reasons import Code, Reason
+
+
+class Fit(Protocol):
+    """The result of a job."""
+
+    @property
+    def refused(self) -> Code | None: ...  # why it must not be used
+    @property
+    def cost(self) -> float: ...
+
+
+@dataclass(slots=True)
+class FittedState(SixState):
+    """Besides `job`, the requested fit that is not adopted yet, and `last`, the last one's result."""
+
+    _: KW_ONLY
+    model_sd: Annotated[NDArray[np.float64], Shape((6,))] = field(default_factory=lambda: np.zeros(6))
+    """Of the six, what errors of the model leave in `mean` and more data do not take away."""
+    decided: int = OPEN  # state of the job: see windows.OPEN
+    late_ns: int = 0  # by how much the last decided fit was late
+    sound_ns: int = 0  # until when data have been sound, without a silence of STALE_S since the last fit
+    fits: int = 0
+    late: int = 0
+
+
+def drive_on(state: FittedState, pose: Pose, segment: Segment | None) -> float:
+    """Take the pose that ends a segment; distance to it, m."""
+    seconds = (pose.t_ns - state.last_pose_ns) * 1e-9 if state.last_pose_ns else 0.0
+    state.last_pose_ns = pose.t_ns
+    metres = min(seconds, 3600.0) * abs(pose.tractor.forward_velocity or 0.0)
+    state.distance += metres
+    if segment is not None and segment.reason in WAYS_OF_DRIVING and stale(state, pose.t_ns) is None:
+        state.sound_ns = pose.t_ns
+    return metres
+
+
+def stale(state: FittedState, t_ns: int) -> Reason | None:
+    """Why numbers are stale."""
+    return stale_reason(Code.NO_SOUND_DATA_FOR, age_s(max(state.informed_ns, state.sound_ns), t_ns))
+
+
+def is_used(state: FittedState, made: Fit | None) -> bool:
+    """Decide about the result of the job, None if there is none: count and tell of one that is late or
+    refused. Whether it is to be learned from."""
+    state.decided = OPEN
+    if made is None or state.late_ns:
+        state.late += 1
+        state.events.append((EventKind.FIT, reasoned(late_reason(state.late_ns, made is not None))))
+    if made is not None and made.refused:
+        refuse(state, made.refused)
+        state.events.append((EventKind.FIT, reasoned(Reason(made.refused))))
+    return made is not None and not made.refused
+
+
+def excitation(
+    state: FittedState, own: dict[str, float], last: Fit | None, iterations: int
+) -> dict[str, float]:
+    """As of an estimate. own: what a method tells besides."""
+    told = {
+        "fits": float(state.fits), "late": float(state.late), "soil_changes": float(state.changes), **own,
+        "cost": last.cost if last else 0.0, "iterations": float(iterations),
+    }  # fmt: skip
+    return told | ({"late_s": state.late_ns * 1e-9} if state.late_ns else {})
+
+
+def clock_stepped(state: FittedState, by_ns: int) -> None:
+    """The log's clock stepped back: discard the pending fit, keep the posterior and its age."""
+    step_clock(state, by_ns)
+    state.decided, state.last_pose_ns = OPEN, 0
+    state.sound_ns += by_ns if state.sound_ns else 0

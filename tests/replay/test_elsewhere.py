@@ -1,0 +1,65 @@
+"""A log is verified on a computer that rounds otherwise: in processes that disguise themselves as one."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from disguise import DISGUISES, disguised
+from logs import MACHINE, Live, altered, record
+from paths import ROOT
+
+from tilth.cli import main
+from tilth.logger.log.software import software
+from tilth.simulator.traffic import simulate
+
+pytestmark = pytest.mark.skipif(software()["processor"] != "x86_64", reason="the disguises are of x86-64")
+TWO = ("another BLAS kernel", "no fused multiply-add")
+
+
+def verified(path: Path, disguise: str) -> tuple[int, dict[str, Any]]:
+    """Status and answer of `tilth replay --verify`."""
+    words = [sys.executable, "-m", "tilth.cli", "replay", "--verify", "--json", str(path)]
+    done = subprocess.run(words, env=disguised(disguise), check=False, capture_output=True, text=True)
+    assert not done.stderr, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)["verify"]
+    return done.returncode, found
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
+    return record(tmp_path_factory.mktemp("live"), list(simulate(MACHINE, 3, 30.0)), 1)
+
+
+@pytest.mark.parametrize("disguise", TWO)
+def test_elsewhere_all_is_equal_within_the_tolerances(live: Live, disguise: str) -> None:
+    status, found = verified(live.parts[0], disguise)
+    assert (status, found["difference"], found["compared"]) == (0, None, live.results)
+    assert "arithmetic" in found["recorded_elsewhere"]
+    assert found["to_the_byte"] < found["compared"]
+    assert 0.0 < found["largest"]["amount"] < found["largest"]["tolerance"]
+
+
+def test_elsewhere_what_is_missing_or_of_another_time_stays_a_difference(live: Live, tmp_path: Path) -> None:
+    status, found = verified(altered(live, tmp_path, "/pose", 40, "missing"), TWO[0])
+    assert status == 1 and found["difference"].startswith("/pose: ")
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five minutes of rows and headlands, with what the estimators gave."""
+    folder = tmp_path_factory.mktemp("field")
+    frames, out = str(folder / "frames.mcap"), folder / "field.mcap"
+    scenario = str(ROOT / "examples/scenarios/field_day.toml")
+    assert main(["simulate", scenario, "--seconds", "300", "--out", frames]) == 0
+    assert main(["replay", frames, "--out", str(out)]) == 0
+    return out
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("disguise", DISGUISES)
+def test_an_ordinary_field_is_the_same_everywhere(field: Path, disguise: str) -> None:
+    status, found = verified(field, disguise)
+    assert (status, found["difference"]) == (0, None) and found["compared"] > 100_000
