@@ -135,7 +135,7 @@ def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterat
         for cell in np.unique(cells[of_turn], axis=0):
             inside = of_turn & np.all(cells == cell, axis=1)
             given = np.isfinite(error[inside])
-            share = np.sum(np.abs(error[inside]) < Z * sd[inside], axis=0) / given.sum(axis=0)
+            share = np.sum(np.abs(error[inside]) < Z * sd[inside], axis=0) / np.maximum(given.sum(axis=0), 1)
             held.append(np.where(given.any(axis=0), share, math.nan))
         later = of_turn & (passes >= RUNNING_IN)
         errors.append(np.abs(error[later]))

@@ -37,9 +37,23 @@ def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
             soil_words(values[i], within[i], statuses[i], priors.get(PARAMETERS[i]))
             for i in range(len(GROUPS))
         ],
+        "place": _of_place(estimate.get("of_place")),
         "advised": "" if Status.INVALID in statuses else advised(estimate.get("advised")),
         "withdrawn": withdrawn(statuses, [one["reason"] for one in estimate["parameters"]]),
     }
+
+
+def _of_place(place: Fields | None) -> Fields | None:
+    """Of an estimate of a place (tilth.SoilPlace): what its numbers rest on, for a bar, and in words."""
+    if place is None:
+        return None
+    shares = [short(max(place[key], 0.0)) for key in ("this_pass", "neighbours", "prior")]
+    passing, before, file = (f"{100 * share:.0f} %" for share in shares)
+    words = (
+        f"Of this place: {passing} by this pass, {before} by passes before, {file} by the machine file. "
+        f"Soil is alike over {place['radius_m']:.0f} m."
+    )
+    return {"shares": shares, "words": words}
 
 
 def row(estimate: Fields) -> tuple[list[float | None], list[float | None], list[int]]:

@@ -36,6 +36,7 @@ class SoilFieldTuning:
     lengths_m: tuple[float, ...] = tuned((10.0, 30.0, 100.0), "m", "over which soil is alike")
     common: float = tuned(0.8, "1", "share of the variance that all axles have in common")
     telling: float = tuned(0.02, "1", "information over the prior's, of a direction that is used")
+    likely: float = tuned(1e-3, "1", "likelihood over the largest: of a hypothesis that is not left out")
     points: int = tuned(6, "positions", "of a path")
 
 
@@ -190,12 +191,17 @@ class SoilField:
         return np.array(of, np.int64), np.concatenate(units), np.array(values), np.array(variances)
 
     @cached_property
+    def _placed(self) -> Array:
+        """What each direction has of the stiffness of each axle in each window, (r, 3 windows)."""
+        of, units, _, _ = self._directions
+        placed = np.zeros((len(of), AXLES * len(self.windows)))
+        for axle in range(AXLES):
+            placed[np.arange(len(of)), AXLES * of + axle] = units[:, axle]
+        return placed
+
+    @cached_property
     def _hypotheses(self) -> list[_Hypothesis]:
         of, units, values, variances = self._directions
-        r = len(of)
-        placed = np.zeros((r, AXLES * len(self.windows)))
-        for axle in range(AXLES):
-            placed[np.arange(r), AXLES * of + axle] = units[:, axle]
         sds = np.array([window.told.model_sd for window in self.windows]).reshape(-1, 6)[of]
         methods = np.array([window.method for window in self.windows])[of]
         fixed = (units * self.prior_sd**2) @ units.T + np.diag(variances)
@@ -205,7 +211,9 @@ class SoilField:
         alike = _alike(len(self.windows), len(self.windows))
         found, logs = [], []
         for length in SOIL_FIELD.lengths_m:
-            within = placed @ (alike * _correlation(self._places, self._places, length)) @ placed.T
+            within = (
+                self._placed @ (alike * _correlation(self._places, self._places, length)) @ self._placed.T
+            )
             for sd in SOIL_FIELD.sds:
                 covariance = fixed + sd**2 * within
                 inverse = np.asarray(np.linalg.inv(covariance), np.float64)
@@ -213,7 +221,9 @@ class SoilField:
                 logs.append(-0.5 * float(values @ alpha) - 0.5 * float(np.linalg.slogdet(covariance)[1]))
                 found.append(_Hypothesis(sd, length, 0.0, covariance, inverse, alpha))
         weights = np.exp(np.array(logs) - max(logs))
-        return [h._replace(weight=float(w)) for h, w in zip(found, weights / weights.sum(), strict=True)]
+        used = weights > SOIL_FIELD.likely
+        weights /= np.sum(weights[used])
+        return [h._replace(weight=float(w)) for h, w, u in zip(found, weights, used, strict=True) if u]
 
     @property
     def patchy(self) -> float:
@@ -223,8 +233,9 @@ class SoilField:
     def at(self, place: Array) -> At:
         """At a place of the rig: north and east of each axle, (3, 2), m."""
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
+        near = {length_m: self._near(place, length_m) for length_m in SOIL_FIELD.lengths_m}
         for one in self._hypotheses:
-            cross, own = self._with(place, one)
+            cross, own = self._with(near[one.length_m], one.sd)
             there = cross.T @ one.alpha
             mean += one.weight * there
             second += one.weight * (own - cross.T @ one.inverse @ cross + np.outer(there, there))
@@ -232,22 +243,24 @@ class SoilField:
         covariance = second - np.outer(mean, mean)
         return At(mean, (covariance + covariance.T) / 2.0, length)
 
-    def _with(self, place: Array, one: _Hypothesis) -> tuple[Array, Array]:
-        """Covariance of what was told with the six at a place, (r, 6), and of these, (6, 6)."""
-        of, units, _, _ = self._directions
+    def _near(self, place: Array, length_m: float) -> tuple[Array, Array]:
+        """Correlation of what was told with the soil of each axle at a place, (r, 3), of these, (3, 3)."""
         there = place[None, :, None, :]
-        near = _alike(len(self.windows), 1) * _correlation(self._places, there, one.length_m)
-        cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
-        of_axles = near.reshape(-1, AXLES, AXLES)[of]
-        cross[:, :AXLES] += one.sd**2 * np.einsum("rj,rjl->rl", units[:, :AXLES], of_axles)
-        own[:AXLES, :AXLES] += one.sd**2 * _alike(1, 1) * _correlation(there, there, one.length_m)
+        near = _alike(len(self.windows), 1) * _correlation(self._places, there, length_m)
+        return self._placed @ near, _alike(1, 1) * _correlation(there, there, length_m)
+
+    def _with(self, near: tuple[Array, Array], sd: float) -> tuple[Array, Array]:
+        """Covariance of what was told with the six at a place, (r, 6), and of these, (6, 6)."""
+        cross, own = self._directions[1] * self.prior_sd**2, np.diag(self.prior_sd**2)
+        cross[:, :AXLES] += sd**2 * near[0]
+        own[:AXLES, :AXLES] += sd**2 * near[1]
         return cross, own
 
     def shares(self, place: Array, chosen: Sequence[bool]) -> tuple[float, float, float]:
         """By how much the chosen windows, then the others, narrow the stiffnesses at a place, over their
         prior's sd, and what is left of it; mean of the three. They add up to 1."""
         one = max(self._hypotheses, key=lambda hypothesis: hypothesis.weight)
-        cross, own = self._with(place, one)
+        cross, own = self._with(self._near(place, one.length_m), one.sd)
         rows = np.flatnonzero(np.array(chosen)[self._directions[0]])
         by_chosen = cross[rows].T @ np.linalg.solve(one.covariance[np.ix_(rows, rows)], cross[rows])
         left = [np.diag(own - told)[:AXLES] for told in (by_chosen, cross.T @ one.inverse @ cross)]

@@ -43,7 +43,7 @@ METHOD: Final = "place"
 class PlaceTuning:
     """How much is kept."""
 
-    most_windows: int = tuned(40, "stretches", "that are kept; beyond, the two that are nearest become one")
+    most_windows: int = tuned(32, "stretches", "that are kept; beyond, the two that are nearest become one")
     track_ns: int = tuned(2_000_000_000, "ns", "between two places of the way that is kept")
     track: int = tuned(
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
@@ -132,8 +132,11 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
         flat = [to_plane(origin_deg, *to_degrees(before, x, y)) for x, y in places.reshape(-1, 2).tolist()]
         return np.array(flat).reshape(places.shape)
 
-    state.windows = [replace(window, path=moved(window.path)) for window in state.windows]
-    state.track = deque((replace(one, axles=moved(one.axles)) for one in state.track), PLACE.track)
+    windows = [replace(window, path=moved(window.path)) for window in state.windows]
+    state.windows = [
+        w for w in windows if np.all(np.isfinite(w.path))
+    ]  # a plane does not reach round the Earth
+    state.track.clear()
     state.soil = None
 
 

@@ -101,6 +101,9 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
     if of_place is not None and _is_finite(of_place) and _usable_parameters(of_place, Status.ESTIMATED):
         patchy = of_place.excitation.get(PATCHY, 0.0)
         if patchy > RECOMMENDATION.patchy:
+            if "pem" in estimates:  # which it rests on, for the rig and for what to drive
+                rig = estimates["pem"]
+                of_place = replace(of_place, nuisances=rig.nuisances, advice=rig.advice)
             yield of_place, Reason(Code.IN_PATCHES, (of_place.method,), (patchy,))
     others, rows = list(_of_preferred(estimates)), estimates.get(ROWS)
     rule = None if rows is None else _before_others(rows, others[0][0] if others else None, estimates)

@@ -199,6 +199,11 @@ function showKnown() {
   }));
   const names = shown.determined.length ? `The data alone determine ${shown.determined.join(", ")}. Each ± is 95 %.` : "";
   put(byId("method"), [names, estimate.rule ? `Method: ${estimate.rule}.` : ""].filter(Boolean).join(" "));
+  byId("place").hidden = !shown.place;
+  if (shown.place) {
+    put(byId("place-words"), shown.place.words);
+    byId("place").querySelectorAll("i").forEach((part, i) => { part.style.flexGrow = shown.place.shares[i]; });
+  }
   showGround(shown.ground);
   putLines(byId("withdrawn-why"), shown.withdrawn);
   byId("withdrawn").hidden = !shown.withdrawn.length;
@@ -210,7 +215,7 @@ function forgetKnown() {
   put(byId("method"), "");
   byId("known").replaceChildren();
   byId("ground").replaceChildren(element("li", "", "Nothing has been heard yet."));
-  byId("withdrawn").hidden = true;
+  byId("withdrawn").hidden = byId("place").hidden = true;
   traces.forget();
 }
 

@@ -318,6 +318,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
+    assert summary.estimates["place"].of_place is not None  # the windows of the run before, in another plane
 
 
 def slipped() -> Moved:

@@ -17,7 +17,7 @@ from tilth.monitor.json_safe import plain
 from tilth.monitor.page_estimate import advised, page_estimate, priors
 from tilth.schemas import spread
 from tilth.schemas.channels import CHANNEL
-from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.flow import PARAMETERS, SoilPlace
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Advice, AdviceKind
 from tilth.schemas.sentences import advice_sentence
@@ -43,6 +43,20 @@ def received(scale: float = 1.0, since_s: float = 300.0, invalid: str = "") -> F
 
 
 RIG = plain(pb.Rig.FromString(CHANNEL["/rig"].encode(MACHINE)))
+
+
+def test_what_a_number_of_a_place_rests_on_is_a_bar_and_words() -> None:
+    assert page_estimate(received(), RIG)["place"] is None
+    of_place = SoilPlace(43.5, -83.4, 30.0, 0.4, 0.35, 0.25)
+    payload = CHANNEL["/soil_tire"].encode(
+        replace(estimate(10**18, 300.0, 1.0, 300.0, ""), of_place=of_place)
+    )
+    shown = page_estimate(plain(pb.SoilTireEstimate.FromString(payload)), RIG)["place"]
+    assert shown["shares"] == [0.4, 0.35, 0.25]
+    assert shown["words"] == (
+        "Of this place: 40 % by this pass, 35 % by passes before, 25 % by the machine file. "
+        "Soil is alike over 30 m."
+    )
 
 
 @pytest.mark.parametrize("candidate", advice.CANDIDATES, ids=str)

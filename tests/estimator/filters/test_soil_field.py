@@ -20,7 +20,7 @@ BEHIND = np.array([[1.7, 0.0], [-1.2, 0.0], [-5.8, 0.0]])  # axles of a rig that
 
 
 def rig_at(north: float, east: float) -> Array:
-    return BEHIND + np.array([north, east])
+    return np.asarray(BEHIND + np.array([north, east]))
 
 
 def window(
@@ -151,7 +151,7 @@ def test_what_a_window_adds_does_not_depend_on_what_was_known_of_the_six(seed: i
         covariance = np.zeros((n, n))
         covariance[:6, :6], covariance[6:, 6:] = sd**2 * np.eye(6), others
         known = np.linalg.inv(covariance)
-        after = np.linalg.solve(information + known, information @ best + known @ before)
+        after = np.asarray(np.linalg.solve(information + known, information @ best + known @ before), float)
         found.append(told(before, covariance, after, information, prior, np.ones(6), np.zeros(6)))
     assert found[0].information == pytest.approx(found[1].information, abs=1e-6)
     assert found[0].vector == pytest.approx(found[1].vector, abs=1e-6)

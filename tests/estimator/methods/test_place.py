@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from circle import demo_machine
+from numpy.typing import NDArray
 
 from tilth.client.received import estimate_of
 from tilth.estimator.filters import soil_field
 from tilth.estimator.filters.soil_field import Told
 from tilth.estimator.methods import pem, place
 from tilth.estimator.methods.place import PLACE, PlaceState
+from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.channels import CHANNEL
@@ -53,8 +55,8 @@ def fitted(state: PlaceState, t_ns: int, seconds: float, log: float, sd: float =
     place.learn(state, job, pem.Fit(mean, job.covariance, told, 0.0, 0.0, 0.0, 1, 9, False, None))
 
 
-def sds(estimate: Estimate) -> np.ndarray:  # type: ignore[type-arg]
-    return np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6))))
+def sds(estimate: Estimate) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt(np.diag(np.reshape(estimate.log_covariance, (6, 6)))))
 
 
 def test_a_number_is_of_the_place_where_the_rig_is() -> None:
@@ -65,7 +67,7 @@ def test_a_number_is_of_the_place_where_the_rig_is() -> None:
     fitted(state, 10 * S, 14.0, -0.3)
     here = place.estimate(state, MACHINE, 30 * S)
     assert all(p.status is Status.ESTIMATED for p in here.parameters) and here.of_place is not None
-    assert np.log([p.value for p in here.parameters]) - state.prior_mean[:6] == pytest.approx(
+    assert np.log([p.value or math.nan for p in here.parameters]) - state.prior_mean[:6] == pytest.approx(
         np.full(6, -0.3), abs=0.1
     )
     away = drive(state, 40 * S, 200.0)  # with nothing learned on the way
@@ -117,12 +119,21 @@ def test_another_origin_of_the_plane_moves_no_place() -> None:
     fitted(state, 10 * S, 14.0, -0.3)
     before = place.estimate(state, MACHINE, 30 * S)
     moved = replace(pose_at(31 * S, -52.0 - 100.0), origin_latitude_deg=ORIGIN[0] + 0.001)
-    shift = place.to_plane((ORIGIN[0] + 0.001, ORIGIN[1]), *place.to_degrees(ORIGIN, 59.2, 0.0))
+    shift = to_plane((ORIGIN[0] + 0.001, ORIGIN[1]), *to_degrees(ORIGIN, 59.2, 0.0))
     bodies = [replace(body, x=shift[0] - behind, y=shift[1]) for body, behind in
               ((moved.tractor, 0.0), (moved.implement, 5.8))]  # fmt: skip
     place.take(state, MACHINE, replace(moved, tractor=bodies[0], implement=bodies[1]), None)
     after = place.estimate(state, MACHINE, 31 * S)
     assert sds(after) == pytest.approx(sds(before), rel=1e-3)
+
+
+def test_what_was_learned_on_the_other_side_of_the_earth_is_of_no_use_here() -> None:
+    state = place.initial(MACHINE)
+    drive(state, 10 * S, 0.0)
+    fitted(state, 10 * S, 14.0, -0.3)
+    there = replace(pose_at(60 * S, 0.0), origin_latitude_deg=-43.5, origin_longitude_deg=96.6)
+    told = place.take(state, MACHINE, there, None)
+    assert told is not None and np.all(np.isfinite(told.log_covariance))
 
 
 def test_stored_and_restored_it_goes_on_to_the_byte() -> None:

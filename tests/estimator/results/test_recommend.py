@@ -136,6 +136,15 @@ def test_the_rule(case: str, given: tuple[Estimate, ...], chosen: str, rule: str
         assert (best.method, best.t_ns) == (RECOMMENDED, 7)
 
 
+def test_of_a_place_the_rig_is_what_pem_knows_of_it() -> None:
+    of_place = replace(estimate("place"), excitation={PATCHY: 0.99})
+    best = recommend(
+        by_method(of_place, replace(estimate("pem"), nuisances={"wheel_zero": (0.01, 0.001)})), 7
+    )
+    assert best.rule is not None and best.rule.code is Code.IN_PATCHES
+    assert best.nuisances == {"wheel_zero": (0.01, 0.001)}
+
+
 def test_the_last_recommendation_is_not_one_of_the_methods() -> None:
     given = by_method(estimate("steady_state", U), estimate(RECOMMENDED))
     assert recommend(given, 7).rule == Reason(Code.NO_METHOD)
