@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from unittest import mock
 
 import numpy as np
@@ -93,7 +93,7 @@ class Plant:
     further_forward: float = 0.0  # m, by which the implement's CG is ahead of where its file says
 
 
-def _wheel(folder: str, **keys: float) -> Plant:
+def _wheel(folder: str, **keys: Any) -> Plant:
     return Plant(folder, lambda asked: replace(asked, wheel=replace(asked.wheel, **keys)))
 
 

@@ -241,9 +241,8 @@ def source_of(row: LogRow, seed: int) -> SimulationInput:
     scenario, text = base(row, seed, have), machine_of(row, seed, have)
     machine = parse_machine(text)
     behind, forward = Amount(-row.further_forward), Amount(row.further_forward)
-    moved = changed(machine, {"d": behind, "e": forward, "lever_i": behind})
-    driven = moved if row.further_forward else None
-    return SimulationInput(machine, text, scenario, as_json(scenario), seed, row.seconds, driven)
+    moved = changed(machine, {"d": behind, "e": forward, "lever_i": behind}) if row.further_forward else None
+    return SimulationInput(machine, text, scenario, as_json(scenario), seed, row.seconds, moved)
 
 
 def is_there(folder: Path, source: SimulationInput) -> bool:

@@ -14,7 +14,7 @@ def test_fields_differ_as_they_are_meant_to() -> None:
     for name, low, high in (("patch_length", 20, 60), ("patch_log_sd", 0.1, 0.3), ("patch_common", 0.3, 1.0)):
         values = [getattr(one.soil, name) for one in drawn]
         assert low <= min(values) < max(values) <= high and np.std(values) > 0.15 * (high - low)
-    assert {one.steering.turns[0].spacing for one in drawn} == {6.1, 12.2}  # type: ignore[union-attr]
+    assert {one.steering.turns[0].spacing for one in drawn} == {6.1, 12.2}  # type: ignore[union-attr, index]
 
 
 def _made(z: float) -> list[dict[str, Any]]:

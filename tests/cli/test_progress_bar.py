@@ -4,7 +4,6 @@ from contextlib import ExitStack
 
 import pytest
 
-from tilth.cli import progress_bar
 from tilth.cli.progress_bar import bars, stages
 
 
@@ -12,7 +11,7 @@ def test_a_pipe_gets_a_line_now_and_then(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter([0.0, *(3.0 * k for k in range(1, 40))])
-    monkeypatch.setattr(progress_bar.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr("tilth.cli.progress_bar.time.monotonic", lambda: next(clock))
     with ExitStack() as stack:
         show = bars(stack)
         for done in range(10):  # 3 s each

@@ -154,8 +154,8 @@ def estimate(t: float, t_ns: int, method: str, undetermined: tuple[str, ...]) ->
     nuisances["wheel_zero"] = (3.0 * float(sd[at["wheel_zero"]]), float(sd[at["wheel_zero"]]) / 4)
     rule = Reason(Code.FIRST_WITH_NUMBERS, ("pem", "pem")) if method == "recommended" else None
     return Estimate(
-        t_ns, method, "relaxation", parameters, tuple(covariance.ravel().tolist()), (None,) * 3, nuisances,
-        rank=6, condition=4.0, window_s=t, rule=rule,
+        t_ns, method, "relaxation", parameters, tuple(covariance.ravel().tolist()), (None,) * 3,
+        nuisances=nuisances, rank=6, condition=4.0, window_s=t, rule=rule,
         determined=(Combination((1.0, *[0.0] * 5), 0.06),),
         advice=Advice(AdviceKind.MANOEUVRE, ("sigma_i",), (0.3,), False, 0.0, "chirp", 10.0, 5.0, (0.1,)),
     )  # fmt: skip
