@@ -22,8 +22,7 @@ from tilth.estimator import fold
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT, SIX
-from tilth.estimator.methods import pem, steady_state
-from tilth.estimator.methods.steady_state import SteadyState
+from tilth.estimator.methods import pem
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.record import record_builder
 from tilth.estimator.record.record import Record, Segment
@@ -137,7 +136,7 @@ class Heard:
         return {
             "error": error.tolist(),
             "sd": sd.tolist(),
-            "per_mass": self._per_mass(name, float(error[2]), float(sd[2])),
+            "per_mass": self._per_mass(self.last[name], float(logs[2])),
             "nuisances": nuisance_errors(self.machine, self.run, self.last[name]),
             "first_s": first,
             "reasons": [sentence(p.reason) for p in self.last[name].parameters],
@@ -158,10 +157,13 @@ class Heard:
             point[AT[name]] = value
         return list(map(float, bound_at(self.machine, self.fitted, point)))
 
-    def _per_mass(self, name: str, error: float, sd: float) -> list[float]:
-        if name not in self.learned:  # the recommended one is another's
+    def _per_mass(self, told: Estimate, log_stiffness: float) -> list[float]:
+        """(error, sd) of log C_ai over the implement's mass, as published."""
+        value, sd = (*told.per_mass, *[None] * 3)[2], (*told.per_mass_sd, *[None] * 3)[2]
+        if value is None or sd is None:
             return [math.nan, math.nan]
-        return per_mass(self.machine, self.run, self.learned[name], error, sd)
+        true = log_stiffness - math.log(float(self.run.described["rig"]["m_i"]["value"]))
+        return [math.log(value) - true, sd / value]
 
 
 def bound_at(machine: Machine, records: list[Record], point: Array) -> Array:
@@ -194,23 +196,6 @@ def whole_near(series: Array, about_s: float) -> list[list[float]]:
 
 
 # What is true.
-
-
-def per_mass(machine: Machine, run: Run, learned: Any, error: float, sd: float) -> list[float]:
-    """(error, sd) of log C_ai over the implement's mass, from those of C_ai.
-
-    What is not known of the mass is in the sd of C_ai, and nothing on a bus tells it. How much of the one
-    goes with the other is not published: it is taken from the method's state.
-    """
-    true = float(run.described["rig"]["m_i"]["value"]) / machine.implement.mass.value
-    if isinstance(learned, SteadyState):
-        mean, covariance, (c, m) = learned.x, learned.P, (steady_state.AT["C_ai"], steady_state.AT["m_i"])
-        together = -covariance[c, m] * math.exp(learned.logs[2] - learned.prior_logs[2])  # of a compliance
-    else:
-        mean, covariance, (c, m) = learned.mean, learned.covariance, (AT["C_ai"], AT["m_i"])
-        together = covariance[c, m]
-    variance = sd**2 - 2.0 * together + covariance[m, m]
-    return [error - float(mean[m]) + math.log(true), math.sqrt(max(variance, 0.0))]
 
 
 def true_nuisances(machine: Machine, run: Run) -> dict[str, float]:

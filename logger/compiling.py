@@ -34,7 +34,7 @@ UNTRUSTED: Final = (
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
 
-class Done(NamedTuple):
+class KernelsDone(NamedTuple):
     """How far the compiling is."""
 
     functions: int
@@ -42,7 +42,7 @@ class Done(NamedTuple):
     share: float  # of the work, 0 to 1
 
 
-Progress = Callable[[Done], None]
+Progress = Callable[[KernelsDone], None]
 
 
 class NoCacheFolder(Exception):
@@ -95,13 +95,13 @@ def prepare(machine: Machine, progress: Progress) -> float:
             waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
             uncompiled.update(f.__code__ for kernel in waiting for f in kernel.functions())
             work, functions = _size(uncompiled), len(uncompiled)
-            progress(Done(0, functions, 0.0))
+            progress(KernelsDone(0, functions, 0.0))
 
     def ended(code: CodeType) -> None:
         if code in uncompiled:  # not one of numba's own, nor one for other types
             uncompiled.remove(code)
             share = min(1.0 - _size(uncompiled) / work, MOST)
-            progress(Done(functions - len(uncompiled), functions, share))
+            progress(KernelsDone(functions - len(uncompiled), functions, share))
 
     _call(machine, begins, ended)
     return time.monotonic() - began[0] if began else 0.0
@@ -208,7 +208,7 @@ def main(words: list[str]) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     prepare(machine, lambda done: None if done.share else _print(TEXT))
-    for fitting in in_order(machine):
+    for fitting in in_order(machine) if _compiles() else ():
         rehearse(fitting, machine)
     return 0
 

@@ -15,7 +15,7 @@ from typing import Final
 
 from tilth.logger import compiling
 from tilth.logger.child import packed, words_of
-from tilth.logger.compiling import Done
+from tilth.logger.compiling import KernelsDone
 from tilth.logger.job import Job, JobEnded
 from tilth.logger.priority import COMPILING as BEHIND
 from tilth.schemas.flow import EventKind
@@ -40,7 +40,7 @@ class Preparing:
         self._doing = "" if self.ready else LOADING
         self._machine = machine
         self._report = report
-        self._done = Done(0, 0, 0.0)
+        self._done = KernelsDone(0, 0, 0.0)
         self._began_s: float | None = None  # monotonic
         self._left_s = math.inf  # as it was said last
         self._job: Job | None = None
@@ -133,12 +133,12 @@ class Preparing:
                     self._report(EventKind.COMPILED, notice(NoticeCode.COMPILES_AT_OWN_PRIORITY, why=why_not))
                 for line in self._job.lines():
                     functions, of, share = line.split()
-                    self._progress(Done(int(functions), int(of), float(share)))
+                    self._progress(KernelsDone(int(functions), int(of), float(share)))
         except (JobEnded, ValueError) as why:
             if not self._closing:
                 self._report(EventKind.COMPILED, notice(NoticeCode.COMPILER_FAILED, why=str(why)))
 
-    def _progress(self, done: Done) -> None:
+    def _progress(self, done: KernelsDone) -> None:
         if self._closing:
             raise compiling.CompilingStopped
         if not done.functions:

@@ -24,7 +24,7 @@ CODES: Final = frozenset(NoticeCode)
 _Row = tuple[int, bytes]  # t_ns, payload
 
 
-class Deviation(NamedTuple):
+class FieldDifference(NamedTuple):
     """A field whose value is not the one that was logged."""
 
     field: str  # with the topic and the fields round it
@@ -53,7 +53,7 @@ class Comparison:
         self.unverifiable = 0
         self.elsewhere = ""  # what there was other where logs were recorded; "": nothing
         self.to_the_byte = 0  # of those compared
-        self.largest: Deviation | None = None  # of those within their tolerance, beside that tolerance
+        self.largest: FieldDifference | None = None  # of those within their tolerance, beside that tolerance
         self._exact = True
         self._on_track = True
         self._any_live = False  # whether a result was in the logs
@@ -157,7 +157,7 @@ def _of_fold(event: bytes) -> bool:
     return pb.Event.FromString(event).notice.code in OF_FOLD
 
 
-def _deviations(live: ProtoMessage, again: ProtoMessage, within: str = "") -> Iterator[Deviation]:
+def _deviations(live: ProtoMessage, again: ProtoMessage, within: str = "") -> Iterator[FieldDifference]:
     """The fields that differ, also of the messages within."""
     for field in live.DESCRIPTOR.fields:
         a, b = getattr(live, field.name), getattr(again, field.name)
@@ -172,18 +172,18 @@ def _deviations(live: ProtoMessage, again: ProtoMessage, within: str = "") -> It
         elif alike and not field.is_repeated:
             yield from _values(live, field, name, a, b)
         else:
-            yield Deviation(name, _formatted(live, field, a), _formatted(again, field, b))
+            yield FieldDifference(name, _formatted(live, field, a), _formatted(again, field, b))
 
 
-def _values(message: ProtoMessage, field: Any, name: str, live: Any, again: Any) -> Iterator[Deviation]:
+def _values(message: ProtoMessage, field: Any, name: str, live: Any, again: Any) -> Iterator[FieldDifference]:
     if isinstance(live, ProtoMessage):
         yield from _deviations(live, again, name + ".")
     elif isinstance(live, float):
         tolerance = TOLERANCES.get(field.containing_type.name, {}).get(field.name, 0.0)
         sd = getattr(message, "sd", None) if tolerance == OF_SD else None
-        yield Deviation(name, repr(live), repr(again), apart(live, again, sd), tolerance)
+        yield FieldDifference(name, repr(live), repr(again), apart(live, again, sd), tolerance)
     else:
-        yield Deviation(name, repr(live), repr(again))
+        yield FieldDifference(name, repr(live), repr(again))
 
 
 def _present(message: ProtoMessage, field: Any) -> bool:

@@ -24,24 +24,24 @@ OPEN: Final = sorted((row for row in NUMBERS if row.open_sd), key=lambda row: AT
 NAMES: Final = names(OPEN)
 OF_PAIRS: Final = names(row for row in OPEN if row.in_rows and row.place)
 
-SUSPECTS: Final = (*OPEN, NUMBER["I_t"])
+HYPOTHESES: Final = (*OPEN, NUMBER["I_t"])
 """What may be wrong in a file, each alone. The last is the tractor's mass, with the row of its inertia: it
 cannot be left open, since motion shows forces over it, and is seen as other inertias."""
 _INERTIAL: Final = ("m_i", "I_t", "I_i")
 _FOUND_OFF: Final = np.column_stack([np.eye(len(NAMES)), [-1.0 * (name in _INERTIAL) for name in NAMES]])
-"""[n, n + 1]: how far off the open tracker finds the numbers, by an error of each of SUSPECTS. Where a
+"""[n, n + 1]: how far off the open tracker finds the numbers, by an error of each of HYPOTHESES. Where a
 tractor is heavier than its file says, its inertia and what is behind it look smaller, ..."""
 _STIFFNESSES: Final = np.array([1.0 * (name in ("C_af", "C_ar", "C_ai")) for name in PARAMETERS])
 """... and all tyres are stiffer than they are learned: by the same logarithm."""
 
 
 class Misfit(NamedTuple):
-    """Difference between what the open tracker finds and the file. Arrays by OPEN or SUSPECTS."""
+    """Difference between what the open tracker finds and the file. Arrays by OPEN or HYPOTHESES."""
 
     total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
     off: Array  # [n]; result minus the file's value, in the unit of each
     sd: Array  # [n]; of the result
-    found: Array  # [n + 1]; error of each of SUSPECTS if it alone is wrong
+    found: Array  # [n + 1]; error of each of HYPOTHESES if it alone is wrong
     alone: Array  # [n + 1]; sd of that, with the error that is allowed
     moves: Array  # [6, n + 1]; true less learned logarithms, with the file's values, by such an error
 

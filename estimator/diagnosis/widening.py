@@ -18,7 +18,7 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.diagnosis.open_numbers import NAMES, SUSPECTS, OpenEvidence
+from tilth.estimator.diagnosis.open_numbers import HYPOTHESES, NAMES, OpenEvidence
 from tilth.estimator.filters import unknowns
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import NUMBER
@@ -50,9 +50,9 @@ class WideningTuning:
 
 WIDENING: Final = WideningTuning()
 SEGMENT_S: Final = ALIGNMENT.pose_ns * 1e-9
-_WRONG_BY: Final = np.array([row.open_sd**2 for row in SUSPECTS])
+_WRONG_BY: Final = np.array([row.open_sd**2 for row in HYPOTHESES])
 _OFTEN: Final = np.array(
-    [0.0 if row.name in [unknowns.NAMES[k] for k in unknowns.MASSES] else row.often for row in SUSPECTS]
+    [0.0 if row.name in [unknowns.NAMES[k] for k in unknowns.MASSES] else row.often for row in HYPOTHESES]
 )
 """How often each is the wrong one. Never the implement's mass: the methods do not learn it either, and have
 the file's sd of it."""
@@ -81,18 +81,18 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = ()) -> Widening
     noise = birge * misfit.alone**2
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise
     log_factors = 0.5 * (share * chi_square / birge - np.log1p(_WRONG_BY / noise))
-    often = np.where([row.name in known for row in SUSPECTS], 0.0, _OFTEN)
+    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN)
     of_noise, error = share * noise, (share * misfit.found) ** 2
     parts = misfit.moves * np.sqrt(_probabilities(log_factors, often) * (of_noise + error))
     by = np.argmax(np.abs(parts), axis=1)
     return Widening(
-        parts @ parts.T, [SUSPECTS[k].name for k in by], (error > of_noise)[by].tolist(),
+        parts @ parts.T, [HYPOTHESES[k].name for k in by], (error > of_noise)[by].tolist(),
         evidence.learned * SEGMENT_S,
     )  # fmt: skip
 
 
 def _probabilities(log_factors: Array, often: Array) -> Array:
-    """That each of SUSPECTS is the wrong one, [n + 1]; what is missing to 1: that none is.
+    """That each of HYPOTHESES is the wrong one, [n + 1]; what is missing to 1: that none is.
 
     log_factors: Bayes' factors against a right file. often: weights of each before driving.
     """

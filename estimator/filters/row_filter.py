@@ -47,7 +47,7 @@ class Whitened(NamedTuple):
     mean_reading: Array  # (1,), of the wheel angle, rad
 
 
-class AtSpeed(NamedTuple):
+class RowSpeed(NamedTuple):
     """Where a speed is among the tabulated ones."""
 
     low: int  # the next lower one
@@ -55,15 +55,15 @@ class AtSpeed(NamedTuple):
 
 
 @inner_kernel
-def find_speed(u: float, speeds: Array) -> AtSpeed:
+def find_speed(u: float, speeds: Array) -> RowSpeed:
     """Of u, m/s. speeds: (s,), evenly apart."""
     spacing, nodes = speeds[1] - speeds[0], speeds.shape[0]
     low = min(max(int((u - speeds[0]) / spacing), 0), nodes - 2)
-    return AtSpeed(low, (u - speeds[low]) / spacing)
+    return RowSpeed(low, (u - speeds[low]) / spacing)
 
 
 @inner_kernel
-def mix(table: Array, at: AtSpeed, out: Array) -> None:
+def mix(table: Array, at: RowSpeed, out: Array) -> None:
     """Fill out with what a table has at a speed."""
     low, share = at
     for i in range(out.shape[0]):
@@ -169,7 +169,7 @@ def set_gains(
 
 
 @inner_kernel
-def step_columns(table: Array, at: AtSpeed, z: Array, following: Array) -> None:
+def step_columns(table: Array, at: RowSpeed, z: Array, following: Array) -> None:
     """Fill following, (n, c), from the columns z, (m, c), of states and perhaps inputs, a tick before.
     table: (s, n, m), of transitions at the tabulated speeds."""
     low, share = at
@@ -183,7 +183,7 @@ def step_columns(table: Array, at: AtSpeed, z: Array, following: Array) -> None:
 
 
 @inner_kernel
-def step_response(at: AtSpeed, model: StraightModel, z: Array, following: Array) -> None:
+def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array) -> None:
     """Fill following, (13, 1 + a): state, and its slopes, one tick after z, (14, 1 + a), whose last row is
     the wheel angle."""
     low, share = at
@@ -199,7 +199,7 @@ def step_response(at: AtSpeed, model: StraightModel, z: Array, following: Array)
 
 @inner_kernel
 def read_response(
-    code: int, late: float, at: AtSpeed, model: StraightModel, z: Array, following: Array, out: Array
+    code: int, late: float, at: RowSpeed, model: StraightModel, z: Array, following: Array, out: Array
 ) -> None:
     """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z."""
     low, share = at
@@ -237,7 +237,7 @@ class ResponseRun(NamedTuple):
 
 
 @inner_kernel
-def begin_response(k: int, on: ResponseRun) -> AtSpeed:
+def begin_response(k: int, on: ResponseRun) -> RowSpeed:
     """The rig one tick later."""
     unknowns, now = on.unknowns, drive_at(on.row.ticks, k, on.unknowns)
     drive = driven_by(now.u, 0.0, now.reading - on.row.mean_reading[0], now.reading_rate, unknowns)
@@ -251,7 +251,7 @@ def begin_response(k: int, on: ResponseRun) -> AtSpeed:
 
 
 @inner_kernel
-def take_response(i: int, k: int, at: AtSpeed, on: ResponseRun) -> None:
+def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
     """What the rig gives in the place of a row, through the filter."""
     row, gains, places, reading, D = on.row.rows[i], on.row.gains, on.places, on.reading, on.D
     if gains.used[i] == 0.0:
@@ -280,7 +280,7 @@ def take_response(i: int, k: int, at: AtSpeed, on: ResponseRun) -> None:
 
 
 @inner_kernel
-def end_response(at: AtSpeed, on: ResponseRun) -> None:
+def end_response(at: RowSpeed, on: ResponseRun) -> None:
     """On to the next tick."""
     step_columns(on.row.filter.F, at, on.D, on.D_following)
     for j in range(on.z.shape[1]):

@@ -96,10 +96,10 @@ def told(
 
 def _without(precision: Array, vector: Array, gone: NDArray[np.bool_]) -> tuple[Array, Array]:
     """The information on what is not gone, and its vector, where what is gone may be anything."""
-    carried = np.linalg.solve(precision[np.ix_(gone, gone)], precision[np.ix_(gone, ~gone)]).T
+    passed_on = np.linalg.solve(precision[np.ix_(gone, gone)], precision[np.ix_(gone, ~gone)]).T
     return (
-        precision[np.ix_(~gone, ~gone)] - carried @ precision[np.ix_(gone, ~gone)],
-        vector[~gone] - carried @ vector[gone],
+        precision[np.ix_(~gone, ~gone)] - passed_on @ precision[np.ix_(gone, ~gone)],
+        vector[~gone] - passed_on @ vector[gone],
     )
 
 
@@ -167,7 +167,7 @@ class _Hypothesis(NamedTuple):
     alpha: Array  # (r,), that times what was told
 
 
-class SoilField:
+class SoilMemory:
     """What some windows tell of a field. Derived from them alone."""
 
     def __init__(self, windows: Sequence[SoilWindow], prior_sd: Array) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import soil_field, unknowns
-from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilField, SoilWindow
+from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow
 from tilth.estimator.filters.unknowns import SIX, Vector
 from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
@@ -79,7 +79,9 @@ class PlaceState:
     window_s: float = 0.0
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
     events: list[tuple[str, Notice]] = field(default_factory=list)
-    soil: SoilField | None = field(default=None, metadata=NOT_STORED)  # by the windows; None: not derived yet
+    soil: SoilMemory | None = field(
+        default=None, metadata=NOT_STORED
+    )  # by the windows; None: not derived yet
 
 
 def initial(machine: Machine) -> PlaceState:
@@ -196,7 +198,7 @@ def estimate_at(
     covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
     of_place, patchy = None, 0.0
     if axles is not None and state.windows and state.origin_deg is not None:
-        soil = state.soil = state.soil or SoilField(state.windows, state.prior_sd)
+        soil = state.soil = state.soil or SoilMemory(state.windows, state.prior_sd)
         there, patchy = soil.at(axles), soil.patchy
         mean[SIX] += there.mean
         covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]

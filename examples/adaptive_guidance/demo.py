@@ -116,7 +116,7 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
     """Make ready what the estimators call: here the controller is to have estimates from the start.
     Raises DemoError."""
 
-    def report_progress(done: compiling.Done) -> None:
+    def report_progress(done: compiling.KernelsDone) -> None:
         if stop():
             raise compiling.CompilingStopped
         if not done.functions:

@@ -23,12 +23,12 @@ COUNTED = {
     "swings", "ticks", "tries",
 }  # fmt: skip
 UNITS = COUNTED | {
-    "°", "1", "1/rad", "1/s", "by unknown", "chi^2", "m", "m/s", "m/s^0.5", "m/s^2", "nat", "ns",
+    "°", "1", "1/rad", "h", "1/s", "by unknown", "chi^2", "m", "m/s", "m/s^0.5", "m/s^2", "nat", "ns",
     "m/kg^(1/3)", "rad", "rad/s", "rad/s^0.5", "rad/s^2", "rad s^2/m", "s", "s/s", "s/s^0.5", "sd",
 }  # fmt: skip
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
     # layouts of arrays, and codes; no limit
-    "filters/predictor": ("UNLIMITED",),
+    "filters/gates": ("UNLIMITED",),
     "filters/likelihood": ("NOTHING", "NO_READINGS"),
     "filters/row_fit": ("OF_BODIES",),
     "filters/soil_change": ("DIRECTIONS",),

@@ -102,7 +102,7 @@ def test_poses_need_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     """As numba tells it, without its work."""
-    told: list[compiling.Done] = []
+    told: list[compiling.KernelsDone] = []
     kernels = [Kernel(one.function) for one in compiling.kernels_of(MACHINE)]
     assert sum(len(kernel.functions()) > 5 for kernel in kernels) >= 2  # large ones, whose shares overlap
 
@@ -140,7 +140,7 @@ def test_the_time_left_never_grows_while_a_function_takes_long(monkeypatch: pyte
         (60, 79, 0.99),
     ):
         now[0] += after_s
-        preparing._progress(compiling.Done(done, 80, share))
+        preparing._progress(compiling.KernelsDone(done, 80, share))
         for wait_s in (0.0, 30.0):
             now[0] += wait_s
             said.append(preparing.remaining_s)

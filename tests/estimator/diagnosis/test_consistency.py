@@ -324,7 +324,7 @@ def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
     machine = demo_machine()
     state, out = run(machine, frames())
     pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
-    n, poses = len(open_numbers.SUSPECTS), 0
+    n, poses = len(open_numbers.HYPOTHESES), 0
     tenth, ones = np.full(n, 0.1), np.ones(n)
     far = open_numbers.Misfit(1e3, ones[1:], tenth[1:], ones, tenth, np.ones((6, n)))
     near = far._replace(total=0.0, off=0.0 * ones[1:], found=0.0 * ones)

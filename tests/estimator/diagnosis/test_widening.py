@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tilth.estimator.diagnosis import consistency, open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY, Consistency
-from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, SUSPECTS, OpenEvidence
+from tilth.estimator.diagnosis.open_numbers import HYPOTHESES, NAMES, OPEN, OpenEvidence
 from tilth.estimator.diagnosis.widening import WIDENING, Widening, widened, widening_of
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Status
@@ -19,7 +19,7 @@ from tilth.schemas.reasons import Code, Combination, Reason
 from tilth.schemas.sentences import sentence
 
 N = len(NAMES)
-MASS = len(SUSPECTS) - 1  # the tractor's
+MASS = len(HYPOTHESES) - 1  # the tractor's
 OPEN_SD = np.array([row.open_sd for row in OPEN])
 LOOKED_AT = [name for name in NAMES if name != "m_i"]
 

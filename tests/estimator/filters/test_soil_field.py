@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilField, SoilWindow, Told, merged, told
+from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow, Told, merged, told
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def window(
 
 
 def sds(windows: list[SoilWindow], place: Array) -> Array:
-    return np.asarray(np.sqrt(np.diag(SoilField(windows, PRIOR_SD).at(place).covariance)))
+    return np.asarray(np.sqrt(np.diag(SoilMemory(windows, PRIOR_SD).at(place).covariance)))
 
 
 LOGS = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
@@ -45,7 +45,7 @@ PLACES = st.lists(st.tuples(st.floats(-200, 200), st.floats(-60, 60)), min_size=
 def test_the_order_of_windows_does_not_matter(logs: Array, places: list[tuple[float, float]], rng) -> None:  # type: ignore[no-untyped-def]
     windows = [window(logs + 0.1 * k, *place, k=k) for k, place in enumerate(places)]
     shuffled = rng.sample(windows, len(windows))
-    one, other = (SoilField(each, PRIOR_SD).at(rig_at(30.0, 3.0)) for each in (windows, shuffled))
+    one, other = (SoilMemory(each, PRIOR_SD).at(rig_at(30.0, 3.0)) for each in (windows, shuffled))
     assert one.mean == pytest.approx(other.mean, abs=1e-8)
     assert one.covariance == pytest.approx(other.covariance, abs=1e-8)
 
@@ -57,7 +57,7 @@ def test_it_is_sure_of_nothing_that_it_was_not_told(
 ) -> None:
     """A covariance, no wider than before any window; shares are shares."""
     windows = [window(logs, *place, k=k) for k, place in enumerate(places)]
-    field, place = SoilField(windows, PRIOR_SD), rig_at(north, 0.0)
+    field, place = SoilMemory(windows, PRIOR_SD), rig_at(north, 0.0)
     found = field.at(place).covariance
     assert np.linalg.eigvalsh(found).min() > 0.0
     shares = field.shares(place, [k == 0 for k in range(len(windows))])
@@ -122,7 +122,7 @@ def test_intervals_hold_in_fields_with_patches_and_a_wet_end() -> None:
             information = np.diag(sd**-2)
             said = soil(one.path).mean(axis=0) + sd * rng.standard_normal(6)
             windows.append(replace(one, told=Told(information, information @ said, np.zeros(6))))
-        field = SoilField(windows, PRIOR_SD)
+        field = SoilMemory(windows, PRIOR_SD)
         for north in np.linspace(5.0, length - 5.0, 5):
             place = rig_at(north, 12.2 * passes)
             found = field.at(place)
