@@ -28,7 +28,7 @@ def reader(*paths: Path) -> ChannelReader:
 
 def plain(message: Any, name: str) -> Any:
     """What stands in a message for a column of that name."""
-    for part in ("tractor", "implement", "wheel_angle", "own_steering"):
+    for part in ("tractor", "implement", "wheel_angle", "own_steering", "of_place"):
         within = name.removeprefix(f"{part}_")
         if within != name and getattr(message, part, None) is not None:
             inner: Any = getattr(message, part)
