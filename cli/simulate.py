@@ -190,10 +190,10 @@ def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str
         rig = drawn(args.fleet)
         text = owners_text(rig)
         return parse_machine(text), text, true_machine(rig)
-    if args.machine is not None:
-        return *read_machine(args.machine), None
-    if scenario.machine is not None:
-        return *read_machine(args.scenario.parent / scenario.machine), None
+    named = args.machine or (scenario.machine and args.scenario.parent / scenario.machine)
+    if named is not None:
+        machine, text = read_machine(named)
+        return machine, text, None
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     return parse_machine(text), text, None
 

@@ -31,7 +31,7 @@ class InPackage(InTreeCacheLocator):
         super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
         self._cache_path = str(PACKAGED)
 
-    def get_source_stamp(self) -> str:
+    def get_source_stamp(self) -> Any:
         return ""  # the name says all
 
     def get_disambiguator(self) -> str:

@@ -92,17 +92,19 @@ def _arithmetic() -> str:
 
 def _last_digits() -> Iterator[bytes]:
     import numpy as np
-    from scipy.linalg import blas, lapack
+    from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
     arguments = [(k * 7919 % 4001 + 1) / 1009 for k in range(1500)]
     for function in _MATHEMATICS:
         yield b"".join(ctypes.c_double(function(x)) for x in arguments)
     yield b"".join(ctypes.c_double(math.atan2(x, y)) for x, y in itertools.pairwise(arguments))
     yield b"".join(ctypes.c_double(x**0.37) for x in arguments)
+    gemm, gemv = get_blas_funcs(("gemm", "gemv"), dtype=np.float64)
+    potrf, gesv = get_lapack_funcs(("potrf", "gesv"), dtype=np.float64)
     for n in _PRODUCTS:
         a = np.resize(np.array(arguments), (n, n + 1))
         square = a[:, :n] @ a[:, :n].T + n * np.eye(n)
         yield (a @ a.T).tobytes() + (a @ a[0]).tobytes() + np.linalg.inv(square).tobytes()
-        yield blas.dgemm(1.0, a, a.T).tobytes() + blas.dgemv(1.0, a, a[0]).tobytes()
-        yield lapack.dpotrf(square)[0].tobytes() + lapack.dgesv(square, a)[2].tobytes()
+        yield gemm(1.0, a, a.T).tobytes() + gemv(1.0, a, a[0]).tobytes()
+        yield potrf(square)[0].tobytes() + gesv(square, a)[2].tobytes()
         yield np.linalg.eigh(square)[0].tobytes() + np.linalg.svd(a)[1].tobytes()
