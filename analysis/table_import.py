@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.whole_file import whole
 from tilth.schemas.decode import claim, encode, frames_of
 from tilth.schemas.flow import Frame, Mount, Word
 from tilth.schemas.invocation import installing
@@ -79,6 +80,8 @@ def read_map(path: Path) -> TableMap:
     if not isinstance(start, datetime):
         raise ImportProblem(f"{path}: start is the date and time of time 0, such as 2009-06-01T12:00:00Z")
     receivers: dict[Mount, dict[str, tuple[str, float]]] = {}
+    if not isinstance(given["receiver"], dict) or not given["receiver"]:
+        raise ImportProblem(f"{path}: receiver: {_EXAMPLES['receiver']}")
     for name, columns in given["receiver"].items():
         if name not in {mount.value for mount in Mount} or not isinstance(columns, dict):
             raise ImportProblem(
@@ -135,7 +138,10 @@ def read_table(path: Path) -> dict[str, Array]:
     readers = {".csv": _csv, ".parquet": _parquet, ".mat": _mat}
     if path.suffix.lower() not in readers:
         raise ImportProblem(f"{path}: give a table that ends in {', '.join(readers)}")
-    columns = readers[path.suffix.lower()](path)
+    try:
+        columns = readers[path.suffix.lower()](path)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ImportProblem(f"{path}: no table in UTF-8: {error}") from None
     if not columns or not max(len(column) for column in columns.values()):
         raise ImportProblem(f"{path}: no rows are in it")
     return columns
@@ -187,7 +193,9 @@ def _mat(path: Path) -> dict[str, Array]:
         found = loadmat(path)
     except NotImplementedError:
         raise ImportProblem(f"{path}: this is MATLAB's format 7.3; save it with -v7") from None
-    except ValueError as error:
+    except OSError:
+        raise
+    except Exception as error:  # scipy names no kind: whatever it is, it cannot be read
         raise ImportProblem(f"{path}: no MATLAB file: {error}") from None
     return {
         name: np.asarray(value, np.float64).ravel()
@@ -214,24 +222,18 @@ def import_table(table: Path, given: TableMap, machine_file: MachineFile, out: P
             raise ImportProblem(
                 f"the machine file has no receiver {mount.value}: give it one, with its position"
             )
+    _checked(table, columns, given)
     time = _scaled(table, columns, given.time)
     use = np.isfinite(time)
     if not use.any() or (np.diff(time[use]) <= 0.0).any():
         raise ImportProblem(f"{table}: the column {given.time[0]} must grow from row to row")
     start_ns = int(given.start.timestamp()) * 1_000_000_000 + given.start.microsecond * 1000
-    count = 0
-    try:
-        run = RunPart(f"imported-{table.stem}", 1, start_ns, note=f"imported from {table.name}")
-        with closing(LogWriter(out, machine_file, run)) as writer:
-            for frame in sorted(
-                _frames(table, columns, given, machine, time, start_ns), key=lambda one: one.t_ns
-            ):
-                writer.frame(frame)
-                count += 1
-    except ImportProblem:
-        out.unlink()
-        raise
-    return Imported(int(use.sum()), float(time[use][-1] - time[use][0]), count)
+    frames = sorted(_frames(table, columns, given, machine, time, start_ns), key=lambda one: one.t_ns)
+    run = RunPart(f"imported-{table.stem}", 1, start_ns, note=f"imported from {table.name}")
+    with whole(out) as part, closing(LogWriter(part, machine_file, run)) as writer:
+        for frame in frames:
+            writer.frame(frame)
+    return Imported(int(use.sum()), float(time[use][-1] - time[use][0]), len(frames))
 
 
 def _scaled(table: Path, columns: Mapping[str, Array], column: tuple[str, float]) -> Array:
@@ -239,6 +241,14 @@ def _scaled(table: Path, columns: Mapping[str, Array], column: tuple[str, float]
     if name not in columns:
         raise ImportProblem(f"{table}: there is no column {name}; there are {', '.join(columns)}")
     return columns[name] * factor
+
+
+def _checked(table: Path, columns: Mapping[str, Array], given: TableMap) -> None:
+    """Raises ImportProblem for a column that is missing, or longer or shorter than the time."""
+    rows = len(_scaled(table, columns, given.time))
+    for column in (given.wheel_angle, *(one for of in given.receivers.values() for one in of.values())):
+        if len(_scaled(table, columns, column)) != rows:
+            raise ImportProblem(f"{table}: the columns {given.time[0]} and {column[0]} differ in length")
 
 
 def _frames(

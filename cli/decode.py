@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 from tilth.cli import add_bus_names, buses_of, say
-from tilth.cli.decode_summary import CLAIM, Summary, name_text
+from tilth.cli.decode_summary import CLAIM, Summary, name_text, short
 from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.machine_file import read_machine
@@ -206,9 +206,9 @@ def _json_line(message: Message) -> str:
 
 
 def _text_line(message: Message) -> str:
-    words = [f"{word}={_short(value)}" for word, value in message.values.items()]
+    words = [f"{word}={short(value)}" for word, value in message.values.items()]
     words += [f"{key}=[{len(rows)}]" for key, rows in message.groups.items() if rows]
-    words += [f"({key}={_short(value)}: {Rejection.OUT_OF_RANGE})" for key, value in message.dropped.items()]
+    words += [f"({key}={short(value)}: {Rejection.OUT_OF_RANGE})" for key, value in message.dropped.items()]
     origin = message.origin
     if message.pgn == CLAIM and origin.name is not None:
         words.append(f"({device(origin.name)})")
@@ -220,10 +220,6 @@ def _text_line(message: Message) -> str:
         words.append("(repeated)")
     who = f"{origin.bus:<8} {origin.source:>3} {name_text(message) or '-':<16}"
     return f"{_time(message.t_ns)}  {who}  {message.pgn:>6}  {message.title}: {'  '.join(words)}\n"
-
-
-def _short(value: object) -> str:
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _time(t_ns: int) -> str:

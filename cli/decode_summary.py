@@ -5,6 +5,7 @@ from typing import Final
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from tilth.schemas.device_names import device
 from tilth.schemas.flow import Message
@@ -46,7 +47,7 @@ class Summary:
             table.add_column(heading, justify="right", no_wrap=True)
         table.add_column("what, and its last values", overflow="fold")
         for (bus, source, _, pgn, title), row in sorted(self.rows.items(), key=lambda item: item[0][:2]):
-            told = f"{title}  [dim]{_told(row.last)}[/]"
+            told = Text.assemble(title, "  ", (_told(row.last), "dim"))
             table.add_row(bus, str(source), str(pgn), str(row.count), row.rate, told)
         Console().print(table)
 
@@ -60,8 +61,9 @@ def _told(message: Message) -> str:
     name = message.origin.name
     if message.pgn == CLAIM and name is not None:
         return device(name)
-    return "  ".join(f"{word}={_short(value)}" for word, value in list(message.values.items())[:_VALUES])
+    return "  ".join(f"{word}={short(value)}" for word, value in list(message.values.items())[:_VALUES])
 
 
-def _short(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def short(value: object) -> str:
+    """Of a message, for people."""
+    return f"{value:.9g}" if isinstance(value, float) else str(value)

@@ -23,16 +23,18 @@ class FitRow:
 
 def title_of(run: RunAnswer) -> str:
     """Such as: segment 1.2, headland turn, 31.0 to 58.5 s."""
-    what = run["name"] or run["kind"].replace("_", " ")
-    return f"segment {run['id']}, {what}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
+    return f"segment {run['id']}, {_what(run)}, {run['start_s']:.1f} to {run['end_s']:.1f} s"
+
+
+def _what(run: RunAnswer) -> str:
+    return run["name"] or run["kind"].replace("_", " ")
 
 
 def rows_of(answer: FitAnswer) -> Iterator[FitRow]:
     """Segments, groups of those that agree among themselves, all together."""
     runs = answer["runs"]
     for k, run in enumerate(runs):
-        what = run["name"] or run["kind"].replace("_", " ")
-        title = f"{run['id']} {what}\n{run['start_s']:.0f} to {run['end_s']:.0f} s"
+        title = f"{run['id']} {_what(run)}\n{run['start_s']:.0f} to {run['end_s']:.0f} s"
         yield FitRow(run["id"], title, run["parameters"], k == len(runs) - 1)
     groups = [group for group in answer["groups"] if len(group["segments"]) > 1]
     for k, group in enumerate(groups):

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters import soil_field, unknowns
 from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow
+from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import SIX, Vector
 from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
-from tilth.estimator.results.method_state import SixState
+from tilth.estimator.results.method_state import MethodState, SixState, is_due, step_clock
 from tilth.estimator.results.recommend import PATCHY
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
@@ -31,7 +32,6 @@ from tilth.estimator.state_json import NOT_STORED, Shape
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, Pose, SoilPlace
 from tilth.schemas.machine import Machine
-from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
@@ -63,8 +63,9 @@ class TrackPoint:
 
 
 @dataclass(slots=True)
-class PlaceState:
-    """Arrays in the order of unknowns.NAMES; times ns. Positions, m, in the plane of the poses."""
+class PlaceState(MethodState):
+    """Arrays in the order of unknowns.NAMES; times ns. Positions, m, in the plane of the poses. `windows` is
+    never changed in place: `soil` is of the list that it was derived from."""
 
     prior_mean: Vector
     prior_sd: Vector
@@ -74,14 +75,9 @@ class PlaceState:
     origin_deg: tuple[float, float] | None = None  # latitude and longitude, of the plane
     passing: int = 0  # number of the pass
     heading: float = 0.0  # rad, of the pass
-    informed_ns: int = 0
-    published_ns: int = 0
     window_s: float = 0.0
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
-    events: list[tuple[str, Notice]] = field(default_factory=list)
-    soil: SoilMemory | None = field(
-        default=None, metadata=NOT_STORED
-    )  # by the windows; None: not derived yet
+    soil: SoilMemory | None = field(default=None, metadata=NOT_STORED)
 
 
 def initial(machine: Machine) -> PlaceState:
@@ -99,9 +95,8 @@ def take(state: PlaceState, machine: Machine, pose: Pose, segment: Any) -> Estim
             state.track.append(TrackPoint(pose.t_ns, axles))
         if abs(wrap((pose.tractor.heading or 0.0) - state.heading)) > PLACE.turned:
             state.passing, state.heading = state.passing + 1, pose.tractor.heading or 0.0
-    if pose.t_ns - state.published_ns < REPORTING.publish_ns:
+    if not is_due(state, pose.t_ns, REPORTING.publish_ns):
         return None
-    state.published_ns = pose.t_ns
     return estimate(state, machine, pose.t_ns)
 
 
@@ -135,11 +130,9 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
         return np.array(flat).reshape(places.shape)
 
     windows = [replace(window, path=moved(window.path)) for window in state.windows]
-    state.windows = [
-        w for w in windows if np.all(np.isfinite(w.path))
-    ]  # a plane does not reach round the Earth
+    # A plane does not reach round the Earth.
+    state.windows = [window for window in windows if np.all(np.isfinite(window.path))]
     state.track.clear()
-    state.soil = None
 
 
 def learn(state: PlaceState, job: Any, made: Any) -> None:
@@ -155,9 +148,8 @@ def learn(state: PlaceState, job: Any, made: Any) -> None:
     state.windows = [*kept, SoilWindow(method, begin_ns, state.passing, path, made.told)]
     if len(state.windows) > PLACE.most_windows:
         _merge_nearest(state)
-    state.soil = None
     state.informed_ns = job.closed_ns
-    state.window_s += sum(len(record.ticks) for record in records) * 0.02
+    state.window_s += sum(len(record.ticks) for record in records) * DT
 
 
 def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:
@@ -198,11 +190,11 @@ def estimate_at(
     covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
     of_place, patchy = None, 0.0
     if axles is not None and state.windows and state.origin_deg is not None:
-        soil = state.soil = state.soil or SoilMemory(state.windows, state.prior_sd)
+        soil = _soil(state)
         there, patchy = soil.at(axles), soil.patchy
         mean[SIX] += there.mean
         covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
-        shares = soil.shares(axles, [window.passing == state.passing for window in state.windows])
+        shares = soil.shares(axles, [window.passing == state.passing for window in soil.windows])
         of_place = SoilPlace(*to_degrees(state.origin_deg, *axles[1].tolist()), there.length_m, *shares)
     learned = SixState(
         mean, covariance, state.prior_mean, state.prior_sd,
@@ -215,8 +207,17 @@ def estimate_at(
     return replace(made, of_place=of_place)
 
 
+def _soil(state: PlaceState) -> SoilMemory:
+    """By the windows that there are now. Another thread may ask too: what it derives from a list of before is
+    not taken for that of the next."""
+    soil, windows = state.soil, state.windows
+    if soil is None or soil.windows is not windows:
+        soil = state.soil = SoilMemory(windows, state.prior_sd)
+    return soil
+
+
 def clock_stepped(state: PlaceState, by_ns: int) -> None:
     """The log's clock stepped back: what windows have told stays, and where."""
     state.track.clear()
-    state.axles, state.published_ns = None, 0
-    state.informed_ns += by_ns if state.informed_ns else 0
+    state.axles = None
+    step_clock(state, by_ns)

@@ -163,8 +163,20 @@ def test_what_is_no_table(call: Call, drive: tuple[Path, Path, dict[str, Any]], 
         ("a.txt", b"t\n1\n", "give a table that ends in .csv, .parquet, .mat"),
         ("b.csv", b"t,left\n", "no rows are in it"),
         ("c.mat", b"nothing at all, " * 20, "no MATLAB file"),
+        ("d.csv", "t,left\n1,2\n".encode("utf-16"), "no table in UTF-8"),
     ):  # fmt: skip
         (tmp_path / name).write_bytes(content)
         status, _, err = call("import", tmp_path / name, *rest)
         assert status == 2 and says in err, name
     assert call("import", tmp_path / "none.csv", *rest)[0] == 2
+    savemat(tmp_path / "e.mat", {"t": np.arange(9.0), "left": np.zeros(8), "place": np.zeros(9)})
+    given.with_name("short.toml").write_text(
+        'time = "t [s]"\nwheel_angle = "left [rad]"\n[receiver.tractor_front]\n'
+        'latitude = "place [deg]"\nlongitude = "place [deg]"\n'
+    )
+    status, _, err = call("import", tmp_path / "e.mat", "--map", given.with_name("short.toml"), *rest[2:])
+    assert status == 2 and "the columns t and left differ in length" in err
+    given.with_name("none.toml").write_text('time = "t [s]"\nwheel_angle = "left [rad]"\nreceiver = 3\n')
+    status, _, err = call("import", tmp_path / "e.mat", "--map", given.with_name("none.toml"), *rest[2:])
+    assert status == 2 and "receiver: give at least one" in err
+    assert not any(path.suffix in (".mcap", ".part") for path in tmp_path.iterdir())

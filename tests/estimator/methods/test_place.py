@@ -156,3 +156,18 @@ def test_a_way_that_is_not_known_tells_of_no_place() -> None:
     state = place.initial(MACHINE)
     fitted(state, 10 * S, 14.0, -0.3)
     assert state.windows == [] and soil_field.SOIL_FIELD.points > 1
+
+
+def test_what_another_thread_derives_of_before_is_not_taken_for_now() -> None:
+    """It asked for a place ahead, and was done after the next window had been learned."""
+    state, alone = place.initial(MACHINE), place.initial(MACHINE)
+    for one in (state, alone):
+        drive(one, 10 * S, 0.0)
+        fitted(one, 10 * S, 14.0, -0.3)
+    place.estimate(state, MACHINE, 30 * S)
+    late = state.soil
+    for one in (state, alone):
+        drive(one, 40 * S, 60.0)
+        fitted(one, 40 * S, 14.0, 0.2)
+    state.soil = late
+    assert place.estimate(state, MACHINE, 60 * S) == place.estimate(alone, MACHINE, 60 * S)
