@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ import pytest
 from logs import MACHINE
 from loopback import Sender
 from paths import ROOT
+from recorded import RUN_FOLDER
 
 from tilth.logger import compiling
 
@@ -31,6 +33,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     if getattr(session.config.option, "numprocesses", None):
         machine = ROOT / "deploy/machines/jd7930-parker500.toml"
         subprocess.run([sys.executable, "-m", "tilth.logger.compiling", str(machine)], check=True)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Drives and fits that a test of one process has made are there for those of the others."""
+    if RUN_FOLDER not in os.environ:
+        folder = tempfile.TemporaryDirectory(prefix="tilth-tests-")
+        os.environ[RUN_FOLDER] = folder.name
+        config.add_cleanup(folder.cleanup)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -1,8 +1,13 @@
-"""A drive with two steps, recorded with its results: what the tests of analysis read. Made once a process."""
+"""A drive with two steps, recorded with its results: what the tests of analysis read. Made once a run."""
 
+import fcntl
+import os
+import pickle
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 from logs import MACHINE, MACHINE_TEXT, SECOND, Live, record
 
@@ -20,14 +25,37 @@ STEPS = Scenario(
 MARKS = ((5.0, "west step start"), (23.5, "west step end"))  # s since the first frame
 
 
+RUN_FOLDER = "TILTH_TESTS_RUN"
+"""Variable: a folder that all processes of this run of the tests share (conftest.py)."""
+
+Made = TypeVar("Made")
+
+
 @cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
+def _own() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="tilth-recorded-")
+
+
+def _folder() -> Path:
+    return Path(os.environ.get(RUN_FOLDER) or _own().name)
+
+
+def once(name: str, make: Callable[[Path], Made]) -> Made:
+    """What `make` gives of a folder: made by the first process that asks, kept for the others."""
+    folder = _folder() / name
+    with _folder().joinpath(f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        kept = folder / "made.pickle"
+        if not kept.exists():
+            folder.mkdir()
+            kept.write_bytes(pickle.dumps(make(folder)))
+    made: Made = pickle.loads(kept.read_bytes())
+    return made
 
 
 @cache
 def frames() -> tuple[Frame, ...]:
-    return tuple(simulate(MACHINE, 3, SECONDS, STEPS))
+    return once("frames", lambda folder: tuple(simulate(MACHINE, 3, SECONDS, STEPS)))
 
 
 def recorded(parts: int = 1) -> Live:
@@ -37,15 +65,17 @@ def recorded(parts: int = 1) -> Live:
 
 @cache
 def _recorded(parts: int) -> Live:
-    folder = Path(_folder().name) / f"parts{parts}"
-    folder.mkdir()
-    return record(folder, frames(), parts)
+    return once(f"parts{parts}", lambda folder: record(folder, frames(), parts))
 
 
 @cache
 def marked() -> Path:
     """Frames of the drive, and marks of an operator; no results."""
-    path = Path(_folder().name) / "marked.mcap"
+    return once("marked", _marked)
+
+
+def _marked(folder: Path) -> Path:
+    path = folder / "marked.mcap"
     start_ns = frames()[0].t_ns
     writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("marked", 1, start_ns))
     waiting = [(start_ns + round(at_s * SECOND), text) for at_s, text in MARKS]
@@ -58,16 +88,18 @@ def marked() -> Path:
     return path
 
 
-@cache
 def shared_cache() -> Path:
     """What tests keep for each other."""
-    return Path(_folder().name) / "cache"
+    return _folder() / "cache"
 
 
 @cache
 def cut() -> Path:
     """The recorded drive without its last fifth, as a power cut leaves it."""
-    whole = recorded().parts[0]
-    path = whole.with_name("cut.mcap")
+    return once("cut", _cut)
+
+
+def _cut(folder: Path) -> Path:
+    whole, path = recorded().parts[0], folder / "cut.mcap"
     path.write_bytes(whole.read_bytes()[: whole.stat().st_size * 4 // 5])
     return path
