@@ -13,7 +13,6 @@ SCENARIOS = Path(__file__).parents[2] / "examples" / "scenarios"
 WRITERS: dict[str, tuple[str, str, tuple[str, ...]]] = {  # file on the disk -> its size, words of a command
     "again.mcap": ("24k", "replay", ("LOG", "--out", "OUT")),
     "rig.svg": ("16k", "model", ("MACHINE", "--plot", "OUT")),
-    "rig.pdf": ("16k", "model", ("MACHINE", "--plot", "OUT")),
     "rescued.mcap": ("24k", "recover", ("LOG", "--out", "OUT")),
     "driven.log": ("64k", "simulate", ("SCENARIO", "--seconds", "2", "--out", "OUT")),
     "driven.mcap": ("64k", "simulate", ("SCENARIO", "--seconds", "2", "--out", "OUT")),
@@ -21,12 +20,16 @@ WRITERS: dict[str, tuple[str, str, tuple[str, ...]]] = {  # file on the disk -> 
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mcap(tmp_path_factory.mktemp("log") / "log.mcap", some_frames(20_000))
+
+
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_leaves_no_half_file(name: str, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_half_file(name: str, log: Path, tmp_path: Path) -> None:
     disk, machine = tmp_path / "disk", tmp_path / "machine.toml"
     disk.mkdir()
     machine.write_text(MACHINE_TEXT)
-    log = write_mcap(tmp_path / "log.mcap", some_frames(20_000))
     size, command, words = WRITERS[name]
     places = {"LOG": log, "MACHINE": machine, "OUT": disk / name, "SCENARIO": SCENARIOS / "random.toml"}
     if size == "0":  # of one page, and that is taken
@@ -44,10 +47,9 @@ def test_a_full_disk_leaves_no_half_file(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words", [("model", "MACHINE", "--json"), ("decode", "LOG"), ("verify", "LOG", "--json")]
 )
-def test_an_answer_that_cannot_be_written_is_said(words: tuple[str, ...], tmp_path: Path) -> None:
+def test_an_answer_that_cannot_be_written_is_said(words: tuple[str, ...], log: Path, tmp_path: Path) -> None:
     machine = tmp_path / "machine.toml"
     machine.write_text(MACHINE_TEXT)
-    log = write_mcap(tmp_path / "log.mcap", some_frames(3000))
     places = {"MACHINE": str(machine), "LOG": str(log)}
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
