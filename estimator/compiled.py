@@ -1,4 +1,5 @@
-"""Numeric kernels: compiled by numba at their first call, interpreted where numba is absent or fails.
+"""Numeric kernels: compiled by numba at their first call, interpreted where numba is absent or fails. That it
+failed is a warning, since what took seconds takes minutes then.
 
 A kernel is an ordinary function of floats, tuples and arrays. It may call other functions of estimator and
 schemas by their bare names; they are compiled with it. So an equation is written once, for compiled and for
@@ -17,6 +18,7 @@ compiles sooner by itself.
 """
 
 import importlib.util
+import warnings
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any, Final, Generic, ParamSpec, TypeVar
@@ -30,6 +32,10 @@ R = TypeVar("R")
 OPTIONS: Final = {"nogil": True}  # of the compiler
 
 Finish = Callable[[FunctionType, FunctionType], Any]  # (linked copy, function as written)
+
+
+class InterpretedWarning(RuntimeWarning):
+    """numba could not compile a kernel."""
 
 
 class Kernel(KernelFunction, Generic[P, R]):
@@ -115,6 +121,8 @@ class Kernel(KernelFunction, Generic[P, R]):
             self.how = how
             compiled: Callable[P, R] = linked
             return compiled
+        if not getattr(numba.config, "DISABLE_JIT", 0):  # where nobody has asked for it
+            warnings.warn(f"{self.function.__qualname__} is {self.how}", InterpretedWarning, stacklevel=3)
         return self.interpreted()
 
 

@@ -63,6 +63,12 @@ def is_prepared(machine: Machine) -> bool:
     return all(kernel.called for kernel in kernels_of(machine))
 
 
+def interpreted(machine: Machine) -> str:
+    """Which kernels the compiler refused, and why; "" where none."""
+    kernels = kernels_of(machine) if _compiles() else []
+    return "; ".join(f"{k.function.__name__} is {k.how}" for k in kernels if k.how.startswith("interpreted"))
+
+
 def load(machine: Machine) -> bool:
     """Take what was kept on disk; False as soon as something would have to be compiled."""
 

@@ -85,6 +85,8 @@ class Preparing:
                 self._lend()
             if not compiling.load(self._machine):
                 self._compile(untrusted)
+            if why := compiling.interpreted(self._machine):
+                self._report(EventKind.COMPILED, notice(NoticeCode.KERNELS_REFUSED, why=why))
         except compiling.CompilingStopped:
             return
         except Exception as error:  # whatever it is, the fold has a guard of its own

@@ -1,30 +1,34 @@
 """What estimators call is compiled while frames are recorded; who calls it later finds it compiled."""
 
+import contextlib
 import json
 import math
 import os
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from logs import MACHINE, MACHINE_FILE
-from loopback import machine_text, records_of
+from loopback import PATIENCE_S, machine_text, records_of
 from mcap.reader import make_reader
 from paths import ROOT, SUPPORT
 
 from tilth.cli import main
-from tilth.estimator.compiled import Kernel
+from tilth.estimator.compiled import InterpretedWarning, Kernel
 from tilth.estimator.methods.estimators import ROW
 from tilth.logger import compiling
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.preparing import Preparing
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice
 from tilth.schemas.proto.tilth_pb2 import Ready, Status
+from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.traffic import simulate
 
 NEEDED = """
@@ -32,7 +36,7 @@ import gc, sys
 from dataclasses import replace
 from circle import demo_machine
 from drives import LEARNING, QUIET
-from tilth.estimator.compiled import Kernel
+from tilth.estimator.compiled import InterpretedWarning, Kernel
 from tilth.logger.compiling import is_prepared, kernels_of, prepare
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.preparing import Preparing
@@ -69,6 +73,10 @@ sys.modules["asammdf"] = None  # two seconds of import for reading files
 from tilth.cli import main
 raise SystemExit(main())
 """
+
+
+def unfit(x: float) -> float:
+    return x + len(f"{object()!r}") * 0.0
 
 
 def test_what_a_drive_calls_was_prepared() -> None:
@@ -122,6 +130,25 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
     codes = {function.__code__ for kernel in kernels for function in kernel.functions()}
     assert [done.functions for done in told] == [*range(1 + len(codes))]
     assert {done.of for done in told} == {len(codes)}
+
+
+def test_a_kernel_that_the_compiler_refuses_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused: Kernel[..., Any] = Kernel(unfit)
+    told = threading.Event()
+    said: list[str] = []
+
+    def report(kind: str, one: Notice) -> None:
+        said.append(notice_sentence(one))
+        told.set()
+
+    monkeypatch.setattr(compiling, "kernels_of", lambda machine: [refused])
+    with pytest.warns(InterpretedWarning):
+        refused(1.5)
+    monkeypatch.setattr(compiling, "is_prepared", lambda machine: False)
+    monkeypatch.setattr(compiling, "load", lambda machine: True)
+    with contextlib.closing(Preparing(MACHINE, report)):
+        assert told.wait(PATIENCE_S)
+    assert len(said) == 1 and "unfit is interpreted: " in said[0]
 
 
 def test_the_time_left_never_grows_while_a_function_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tilth.estimator.compiled import Kernel
+from tilth.estimator.compiled import InterpretedWarning, Kernel
 from tilth.estimator.models import linear_analysis, nonlinear
 from tilth.estimator.models.actuator import BOSSERD
 from tilth.estimator.models.parameters import TABLE_5_1
@@ -59,9 +59,11 @@ def _unfit(x: float) -> float:
     return float({"value": [x]}["value"][0]) + len(f"{object()!r}") * 0.0
 
 
-def test_what_cannot_be_compiled_is_interpreted() -> None:
+def test_what_cannot_be_compiled_is_interpreted_and_says_so() -> None:
+    """In tests, where warnings are errors, nothing is ever interpreted for minutes unnoticed."""
     fresh: Kernel[Any, Any] = Kernel(_unfit)
-    assert fresh(1.5) == 1.5
+    with pytest.warns(InterpretedWarning, match=r"_unfit is interpreted: \w+Error"):
+        assert fresh(1.5) == 1.5
     assert fresh.how.startswith("interpreted: ")
     assert fresh(2.5) == 2.5
 
