@@ -120,6 +120,7 @@ def test_a_rig_that_is_unstable(answer: Answer, tmp_path: Path) -> None:
     assert status == 1 and "at 7.5 m/s this rig is unstable" in err
 
 
+@pytest.mark.long
 def test_a_full_disk(tmp_path: Path) -> None:
     words: list[str | Path] = [
         "uncertainty",

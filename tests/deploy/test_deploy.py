@@ -72,6 +72,7 @@ class Box:
         }
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
 def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, wheel: Path) -> None:
     box = Box(tmp_path, without_tilth(tmp_path / "needed"))

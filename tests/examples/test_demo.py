@@ -27,6 +27,7 @@ class Heard(NoDisplay):
         self.told.append(event_sentence(event))
 
 
+@pytest.mark.long
 def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,6 +52,7 @@ def test_equal_soils_have_the_ideal_interval(count: int) -> None:
     assert np.mean(holds) >= 0.92 and np.median(widths) < 1.01 and np.mean(widths) < 1.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "sd"), [(4, 0.1), (8, 0.1), (8, 0.3)])
 def test_intervals_hold_where_soils_differ(count: int, sd: float) -> None:
     """That of the mean, and that of a further segment."""

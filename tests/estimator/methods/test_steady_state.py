@@ -363,6 +363,7 @@ def test_an_outlier_changes_nothing() -> None:
     assert clean.steady_s > state.steady_s
 
 
+@pytest.mark.long
 def test_covariance_neither_winds_up_nor_goes_below_what_was_received() -> None:
     turns = (*TURNS, *(0.0,) * 300)  # an hour of straight rows
     state, estimate = learn(drive(turns=turns))

@@ -117,6 +117,7 @@ def test_what_may_not_teach_ends_a_window_and_is_counted() -> None:
 ENABLED: Changes = (("[zenoh]", "[estimation]\ntwo_step = true\n\n[zenoh]"),)
 
 
+@pytest.mark.long
 def test_it_changes_no_other_method_and_is_never_recommended() -> None:
     usual, run = driven(QUIET, 42.0), driven(QUIET, 42.0, ENABLED)
     estimate = run.estimates(two_step.METHOD)

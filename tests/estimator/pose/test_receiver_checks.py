@@ -202,8 +202,8 @@ def test_one_not_a_number_poisons_nothing() -> None:
 @pytest.mark.parametrize(
     ("mounts", "kind"),
     [
-        (TRACTOR, "not_roll_corrected"),
-        (IMPLEMENT, "roll_corrected_twice"),
+        pytest.param(TRACTOR, "not_roll_corrected", marks=pytest.mark.long),
+        pytest.param(IMPLEMENT, "roll_corrected_twice", marks=pytest.mark.long),
         ((Mount.IMPLEMENT_REAR,), "roll_corrected_twice"),
     ],
     ids=["tractor", "implement", "one"],

@@ -6,6 +6,7 @@ from itertools import permutations
 import pytest
 from logs import MACHINE
 from restarted import NAMES, SECOND, Followed, drive, exchanged, from_s, right
+from sampled import sampled
 
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.schemas.can_id import split
@@ -27,7 +28,12 @@ def test_what_was_known_is_used_at_once_within_one_power_session() -> None:
     assert told.said("was silent for 20 s: receivers have the addresses that they had")
 
 
-@pytest.mark.parametrize("order", list(permutations(range(4))), ids=str)
+ORDERS = list(permutations(range(4)))
+
+
+@pytest.mark.parametrize(
+    "order", sampled(ORDERS, ORDERS[::5]), ids=str
+)  # none, a pair, three and all four exchanged
 def test_exchanged_addresses_give_no_wrong_pose(order: tuple[int, ...]) -> None:
     """Four alike receivers settle their addresses anew at each power-up."""
     now = [right()[mount] for mount in Mount]
