@@ -209,7 +209,7 @@ def test_an_operator_may_prompt_a_driver_and_take_his_orders_and_a_reader_may_lo
         order = pb.ExperimentOrder(kind="arm").SerializeToString()
 
         def ordered() -> bool:
-            return any(r.ok for r in page.get(f"{BASE}/experiment/order", payload=order, timeout=2.0))
+            return any(r.ok for r in page.get(f"{BASE}/experiment/order", payload=order, timeout=PATIENCE_S))
 
         until(ordered, lambda: None)
         assert wires.orders()[0].kind == "arm"
@@ -235,14 +235,14 @@ def test_a_key_is_tried_by_its_holder(net: Net, capsys: pytest.CaptureFixture[st
 def test_noise_and_floods_at_the_door_leave_the_daemon_at_its_work(net: Net) -> None:
     noise = bytes(i * 37 % 256 for i in range(4096))
     for data in (b"", b"\x16\x03\x01", b"GET / HTTP/1.1\r\n\r\n", noise):
-        with socket.create_connection(("127.0.0.1", net.port), 2.0) as plain:
+        with socket.create_connection(("127.0.0.1", net.port), PATIENCE_S) as plain:
             plain.sendall(data)
     content = json.loads((net.folder / "olga.json").read_text())["transport"]["link"]["tls"]
     context = ssl.create_default_context(
         cadata=base64.b64decode(content["root_ca_certificate_base64"]).decode()
     )
     with (
-        socket.create_connection(("127.0.0.1", net.port), 2.0) as plain,
+        socket.create_connection(("127.0.0.1", net.port), PATIENCE_S) as plain,
         context.wrap_socket(plain, server_hostname="127.0.0.1") as secured,
     ):
         secured.sendall(noise)

@@ -31,9 +31,8 @@ def test_what_was_known_is_used_at_once_within_one_power_session() -> None:
 ORDERS = list(permutations(range(4)))
 
 
-@pytest.mark.parametrize(
-    "order", sampled(ORDERS, ORDERS[::5]), ids=str
-)  # none, a pair, three and all four exchanged
+# In the sample: none, a pair, three and all four exchanged.
+@pytest.mark.parametrize("order", sampled(ORDERS, ORDERS[::5]), ids=str)
 def test_exchanged_addresses_give_no_wrong_pose(order: tuple[int, ...]) -> None:
     """Four alike receivers settle their addresses anew at each power-up."""
     now = [right()[mount] for mount in Mount]
