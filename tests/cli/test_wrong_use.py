@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from logs import MACHINE_FILE, some_frames, write_mcap
+from loopback import PATIENCE_S
 
 from tilth.cli import COMMANDS, RECORDERS, main
 from tilth.schemas.invocation import command
@@ -103,7 +104,7 @@ def test_logs_of_somebody_else_are_no_traceback(tmp_path: Path) -> None:
         if begin:
             os.chown(path, 65534, 65534)
     words = [*begin, sys.executable, "-c", start, str(tmp_path), str(closed)]
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     closed.chmod(0o700)
     assert ended.returncode == 0, ended.stderr
     assert [line.partition(",")[0] for line in ended.stderr.splitlines()] == [
