@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -64,6 +65,11 @@ def _modules() -> list[Path]:
     return [path for folder in folders for path in folder.rglob("*.py") if "_pb2" not in path.name]
 
 
+@cache  # three checks read each source
+def _tree(source: str) -> ast.Module:
+    return ast.parse(source)
+
+
 def _imports(tree: ast.AST) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -82,7 +88,7 @@ def _room(folder: str, parts: Sequence[str]) -> int:
 def _wrong_doors(folder: str, room: str, source: str) -> list[str]:
     """Imports from rooms that come after this one."""
     found = []
-    for name in _imports(ast.parse(source)):
+    for name in _imports(_tree(source)):
         top, _, rest = name.partition(".")
         parts = rest.split(".")
         if top != "tilth" or parts[0] != folder or len(parts) < 2 or parts[1] in UNDER_ALL.get(folder, ()):
@@ -94,7 +100,7 @@ def _wrong_doors(folder: str, room: str, source: str) -> list[str]:
 
 def _faults(layer: str, source: str, module: str = "") -> list[str]:
     """What this source of that layer may not do."""
-    tree = ast.parse(source)
+    tree = _tree(source)
     outer = LAYERS[LAYERS.index(layer) + 1 :]
     if layer in HEARS_ZENOH_ONLY or (layer == "adaptive_guidance" and module in CONTROLLER):
         outer += ("logger", "replay", "simulator", "analysis")
@@ -174,14 +180,14 @@ def test_a_circle_between_files_is_found(module: str, source: str) -> None:
 
 
 def _of_the_models(source: str) -> list[str]:
-    return [name for name in _imports(ast.parse(source)) if name.startswith("tilth.estimator.models")]
+    return [name for name in _imports(_tree(source)) if name.startswith("tilth.estimator.models")]
 
 
 def test_the_spatial_plant_shares_no_equation_with_the_estimators() -> None:
     """Its room imports nothing of the models, and of the estimator only what compiles a kernel."""
     room = [path.read_text() for path in (ROOT / "simulator" / "spatial").glob("*.py")]
     assert len(room) > 5
-    of_estimator = {name for text in room for name in _imports(ast.parse(text)) if "estimator" in name}
+    of_estimator = {name for text in room for name in _imports(_tree(text)) if "estimator" in name}
     assert of_estimator == {"tilth.estimator.compiled.kernel"}
     assert not any(map(_of_the_models, room))
     assert _of_the_models("from tilth.estimator.models import nonlinear")
@@ -216,7 +222,7 @@ def test_functions_are_short() -> None:
         f"{path.relative_to(ROOT)}: {node.name}"
         for path in [*_modules(), *(ROOT / "studies").rglob("*.py")]
         if "generated" not in path.parts
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(_tree(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (node.end_lineno or 0) - node.lineno >= LONGEST_FUNCTION
     ]
