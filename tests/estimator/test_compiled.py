@@ -297,9 +297,9 @@ def profiled_half(x: float) -> float:
 
 def test_the_digest_does_not_depend_on_whether_a_kernel_was_profiled() -> None:
     """numba clears a flag of the code that it runs for a profiler: all that shares it was compiled anew."""
-    whole = kernel_digest.digest(profiled_half, kernel_digest.readings(profiled_half))
+    whole = digest(profiled_half)
     cProfile.Profile().runcall(Kernel(profiled_half), 3.0)
-    assert kernel_digest.digest(profiled_half, kernel_digest.readings(profiled_half)) == whole
+    assert digest(profiled_half) == whole
 
 
 def test_a_loop_has_the_steps_of_its_user() -> None:
