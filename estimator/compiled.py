@@ -93,6 +93,7 @@ class Kernel(KernelFunction, Generic[P, R]):
         try:
             import numba
             import numpy
+            from numba.core import config
 
             from tilth.estimator import kernel_store
         except (ImportError, OSError) as error:
@@ -121,7 +122,7 @@ class Kernel(KernelFunction, Generic[P, R]):
             self.how = how
             compiled: Callable[P, R] = linked
             return compiled
-        if not getattr(numba.config, "DISABLE_JIT", 0):  # where nobody has asked for it
+        if not getattr(config, "DISABLE_JIT", 0):  # where nobody has asked for it
             warnings.warn(f"{self.function.__qualname__} is {self.how}", InterpretedWarning, stacklevel=3)
         return self.interpreted()
 
