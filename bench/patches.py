@@ -10,29 +10,20 @@ It is counted over passes and stretches of the patches' length: the seconds in o
 together. Rows and turns apart; median errors from the third pass on.
 """
 
-import argparse
 import math
-import os
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, Final
 
 import estimation_runs
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, followed
-from estimation_table import Bench, Line, Row, Z, percents, table_of
+from estimation_table import Bench, Line, Row, Z, drives_asked, drives_parser, percents, print_rows
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress, TimeElapsedColumn
 
 from tilth.estimator.models.nonlinear import STATES
-from tilth.logger.fitting import ONE_THREAD
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import (
     STEP_S,
@@ -110,9 +101,7 @@ def follow(first: int, minutes: float, k: int) -> Result:
 
 def row(first: int, bench: Bench) -> list[Line]:
     """The lines of the table; fields that a file has are not driven again."""
-    have = {
-        seed: made for seed, made in spatial_rows.kept(bench, NAME).items() if made["first"] == first
-    }  # fmt: skip
+    have = spatial_rows.kept(bench, NAME, first)
     made = bench.each(partial(follow, first, bench.scale), 8, have, partial(spatial_rows.keep, bench))
     return lines_of(made)
 
@@ -159,34 +148,10 @@ def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterat
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=8, help="fields")
-    parser.add_argument("--first", type=int, default=0, help="number of the first field")
+    parser = drives_parser(__doc__, 8, "patches.jsonl", "fields")
     parser.add_argument("--minutes", type=float, default=12.0, help="of each drive")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--keep", type=Path, default=Path("patches.jsonl"), help="file of what is done")
-    parser.add_argument("--summary", action="store_true", help="only read what is there")
-    args = parser.parse_args()
-    if args.count < 1 or args.first < 0 or args.processes < 1 or not 0.0 < args.minutes <= 600.0:
-        parser.error("give a count, minutes and processes above zero, and no negative --first")
-    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
-    console = Console(width=None if Console().is_terminal else 150)
-    bench = Bench(args.count, kept=args.keep, scale=args.minutes)
-    began = time.perf_counter()
-    if args.summary:
-        kept = spatial_rows.kept(bench, NAME).values()
-        lines = lines_of([one for one in kept if one["first"] == args.first])
-    else:
-        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-        with (
-            ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
-            Progress(*columns, console=console, transient=True) as progress,
-        ):
-            lines = row(args.first, replace(bench, pool=pool, progress=progress))
-    title = Row(NAME, "≥ 92 % hold", partial(row, args.first))
-    console.print(table_of(title, lines, f"{time.perf_counter() - began:.0f} s"))
+    args = drives_asked(parser)
+    print_rows(args, [Row(NAME, "≥ 92 % hold", partial(row, args.first))], args.minutes, 150)
 
 
 if __name__ == "__main__":

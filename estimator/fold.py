@@ -17,7 +17,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, place
+from tilth.estimator.methods import open_tracker, place, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -279,7 +279,8 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         return
     evidence = None
     if diagnosis.is_judged(state.aligner, pose):
-        evidence = open_tracker.observe(state.open, state.machine, segment)
+        believing = state.estimators[tracker.METHOD]
+        evidence = open_tracker.observe(state.open, state.machine, segment, believing)
     of_file = diagnosis.look_at_file(state.diagnosis, state.aligner, pose, evidence)
     _apply(state, of_file, t_ns, out)
     if of_file.withhold and segment is not None:
