@@ -34,7 +34,7 @@ AXLES: Final = len(PARAMETERS) // 2
 class SoilFieldTuning:
     """What is thought possible of a field."""
 
-    sds: tuple[float, ...] = tuned((0.05, 0.15, 0.25, 0.4), "1", "of a stiffness' logarithm over the field")
+    sds: tuple[float, ...] = tuned((0.05, 0.15, 0.25, 0.4, 0.6), "1", "of a stiffness' logarithm over the field")
     lengths_m: tuple[float, ...] = tuned((10.0, 30.0, 100.0), "m", "over which soil is alike")
     common: float = tuned(0.8, "1", "share of the variance that all axles have in common")
     changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")

@@ -107,7 +107,7 @@ def test_the_second_pass_knows_the_wet_end_before_it_gets_there() -> None:
     )
     values = [np.log([p.value or math.nan for p in one.parameters[:3]]) for one in (dry, there)]
     assert values[1] - values[0] == pytest.approx(np.full(3, -0.4), abs=0.15)
-    assert np.all(sds(there)[:3] < 0.25)
+    assert np.all(sds(there)[:3] < 0.3)
 
 
 def test_a_block_that_is_fitted_again_counts_once() -> None:
