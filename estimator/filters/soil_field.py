@@ -164,15 +164,15 @@ class At(NamedTuple):
 
 def exponential(apart: Array, length_m: float) -> Array:
     """Correlation of the stiffnesses' means over paths, (3 n, 3 m). apart: as of `_apart`."""
-    near = over_paths(np.exp(np.sqrt(apart[0] ** 2 + apart[1] ** 2) / -length_m))
+    near = over_paths(np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
     of_axles = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
     return np.asarray(near * np.tile(of_axles, (apart.shape[1], apart.shape[4])))
 
 
 def over_paths(each: Array) -> Array:
     """The mean over all pairs of places of two paths, (n, 3, p, m, 3, q): (3 n, 3 m)."""
-    n, axles, _, m, _, _ = each.shape
-    return np.asarray(each.mean(axis=(2, 5)).reshape(n * axles, m * axles))
+    n, axles, p, m, _, q = each.shape
+    return np.asarray(each.reshape(n * axles, p, m * axles, q).mean(axis=(1, 3)))
 
 
 def _apart(these: Array, those: Array) -> Array:

@@ -11,7 +11,6 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -201,17 +200,16 @@ def _evenly(path: Array) -> Array:
 
 
 def _merge_nearest(state: PlaceState) -> None:
-    """Of two windows of a method that were nearest to each other, one."""
-    pairs = [(a, b) for a, b in combinations(state.windows[:-1], 2) if a.method == b.method]
-    one, other = min(pairs, key=lambda pair: _apart(*pair))
-    both = soil_field.merged(one, other)
-    state.windows = [both if w is other else w for w in state.windows if w is not one]
-
-
-def _apart(one: SoilWindow, other: SoilWindow) -> float:
-    """How far their ways are from each other, m: each place to the nearest of the other."""
-    between = np.linalg.norm(one.path[:, None, 1] - other.path[None, :, 1], axis=-1)
-    return float(max(between.min(axis=0).mean(), between.min(axis=1).mean()))
+    """Of two windows of a method that were nearest to each other, one. The last one stays."""
+    old = state.windows[:-1]
+    methods, ways = np.array([w.method for w in old]), np.array([w.path[:, 1] for w in old])
+    between = np.linalg.norm(ways[:, None, :, None] - ways[None, :, None, :], axis=-1)
+    # How far ways are from each other: each place to the nearest of the other.
+    apart = np.maximum(between.min(axis=2).mean(axis=2), between.min(axis=3).mean(axis=2))
+    apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
+    first, second = divmod(int(np.argmin(apart)), len(old))
+    both = soil_field.merged(old[first], old[second])
+    state.windows = [both if k == second else w for k, w in enumerate(state.windows) if k != first]
 
 
 def estimate(state: PlaceState, machine: Machine, t_ns: int) -> Estimate:
