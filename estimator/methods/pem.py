@@ -357,9 +357,12 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
 
 
 def _soil_changed(job: Job, made: Fit) -> Notice:
-    """The factors that are known, with their intervals."""
-    logs = made.mean[SIX] - job.mean[SIX]
-    sds = np.sqrt(np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX])
+    variances = np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX]
+    return soil_changed(made.mean[SIX] - job.mean[SIX], np.sqrt(variances))
+
+
+def soil_changed(logs: Array, sds: Array) -> Notice:
+    """The factors by which the six have changed, of those that are known, with their intervals; (6,) each."""
     factors = [
         notice(NoticeCode.FACTOR, parameter=name, low=low, high=high)
         for name, log, sd in zip(PARAMETERS, logs.tolist(), sds.tolist(), strict=True)
