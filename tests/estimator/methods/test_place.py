@@ -52,7 +52,7 @@ def fitted(state: PlaceState, t_ns: int, seconds: float, log: float, sd: float =
     mean, prior_sd = state.prior_mean, state.prior_sd
     job = pem.Job(record.end_ns, record.end_ns, record, mean, np.diag(prior_sd**2))
     told = Told(information, information @ np.full(6, log), np.zeros(6))
-    place.learn(state, job, pem.Fit(mean, job.covariance, told, 0.0, 0.0, 0.0, 1, 9, False, None))
+    place.learn(state, job, pem.Fit(mean, job.covariance, told, 0.0, 0.0, 0.0, 1, 9, False, False, None))
 
 
 def sds(estimate: Estimate) -> NDArray[np.float64]:
