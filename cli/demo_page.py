@@ -18,7 +18,7 @@ from tilth.cli.recorded_runs import play
 from tilth.logger.child import words_of
 from tilth.logger.job import Job, JobEnded
 from tilth.logger.log.derived import REPORTS
-from tilth.monitor.addresses import urls
+from tilth.monitor.addresses import EVERYWHERE, urls
 from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.first_drive import FirstDrive
 from tilth.monitor.server import listening_socket, serve
@@ -42,8 +42,9 @@ def main(endpoint: str, host: str) -> None:
         shown = FirstDrive(player, View(player, endpoint), live)
         threading.Thread(target=_hear, args=(live, daemon_data), daemon=True).start()
         port = listener.getsockname()[1]
-        print(urls("http", host, port)[0] + "/", flush=True)
-        serve(daemon_data, shown, listener, invite(host, port))
+        invitation = invite(host, port)
+        print(urls("http", "127.0.0.1" if host in EVERYWHERE else host, port)[0] + "/", flush=True)
+        serve(daemon_data, shown, listener, invitation)
 
 
 def _hear(live: View, daemon_data: DaemonData) -> None:

@@ -205,8 +205,10 @@ class Guard:
 
     def _of_uninvited(self, connection: HTTPConnection) -> Response | None:
         """What another computer is answered that is not let in, or only now; None for all others."""
-        invitation, client = self._invitation, connection.client
+        invitation, client, here = self._invitation, connection.client, connection.scope.get("server")
         if invitation is None or client is None or is_loopback(client.host.removeprefix("::ffff:")):
+            return None
+        if here is not None and client.host == here[0]:  # this computer, by its address in a network
             return None
         if invitation.knows(connection.cookies.get(COOKIE, "")):
             return None

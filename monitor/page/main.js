@@ -18,7 +18,7 @@ const LOST_MS = 3000; // the page's server says something each second
 const ANEW_MS = 5000; // then another connection is tried: this one may be dead without a word
 const EVENTS = 100;
 const QUIET_EVENTS = new Set(["heartbeat"]);
-const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", withdrawn: "✘" };
+const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", "between soft and usual": "◒", "between usual and firm": "◓", "known roughly": "○", withdrawn: "✘" };
 const byId = (id) => document.getElementById(id);
 
 const tiles = new Tiles(byId("tiles"));

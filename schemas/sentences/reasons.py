@@ -103,9 +103,9 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
-    Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window of pem",
-    Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
-    Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
+    Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last piece that was fitted",
+    Code.WINDOW_OLD: "{of[0]}: the last piece that was fitted is {n[0]:.0f} s old",
+    Code.NO_WINDOW: "{of[0]}: the piece that is fitted next has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
     Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is of where the rig is",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
@@ -122,6 +122,13 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.SAVED_INCOMPLETE: "a part of it is missing",
     Code.ESTIMATORS_FAILED: ("the estimators failed ({of[0]}: {of[1]}) and start again; frames are logged"),
 }
+METHODS: Final[Mapping[str, Mapping[str, str]]] = {
+    ENGLISH: {
+        "pem": "fits of whole manoeuvres", "tracker": "the running estimate",
+        "steady_state": "steady turns", "rows": "straight rows", "place": "the memory of places",
+    }
+}  # fmt: skip
+"""What people hear of an estimator: what it learns from."""
 LANGUAGES: Final[Mapping[str, Mapping[Code, str]]] = {ENGLISH: SENTENCES}
 _NOW: Final = (Code.NOTHING_LEARNED, Code.NOTHING_FITTED, Code.NO_STEADY_TURN_YET)
 """What says why nothing is learned now."""
@@ -139,6 +146,7 @@ def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
     of = reason.of
     if reason.code in DIAGNOSES:
         return DIAGNOSES[reason.code](of, reason.numbers)
+    of = tuple(METHODS[language].get(name, name) for name in of)
     text = LANGUAGES[language][reason.code].format(
         of=of,
         n=[_Number(number) for number in reason.numbers],

@@ -33,7 +33,7 @@ def test_a_word_lets_in_one_phone_once() -> None:
     words: list[str] = []
     guard = Guard(PlainTextResponse("the page"), Invitation(words.append))
     phone, other = "192.168.1.77", "192.168.1.78"
-    assert answer(guard, "127.0.0.1")[0] == answer(guard, "::1")[0] == 200
+    assert answer(guard, "127.0.0.1")[0] == answer(guard, "::1")[0] == answer(guard, "192.168.1.5")[0] == 200
     for path in ("/", "/live", "/main.js", "/mark"):
         assert answer(guard, phone, path)[0] == 403
         assert answer(guard, phone, path, cookie=f"{COOKIE}=x")[0] == 403
