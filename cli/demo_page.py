@@ -66,14 +66,21 @@ def _finished(report: dict[str, Any], files: list[str], daemon_data: DaemonData)
         folder.mkdir(exist_ok=True)
         out = folder / f"{Path(files[0]).stem}_report_0.html"
         out.unlink(missing_ok=True)
-        with suppress(JobEnded), closing(Job(words_of("tilth.cli", "report", *files, "--out", str(out)))) as job:
+        with (
+            suppress(JobEnded),
+            closing(Job(words_of("tilth.cli", "report", *files, "--out", str(out)))) as job,
+        ):
             job.end()
     try:
         daemon_data.kept_report = out.read_bytes()
     except OSError as error:
         return report | {"state": "failed", "text": str(error)}
     print(f"the report that was ordered: {out}", flush=True)
-    return report | {"state": "ready", "text": out.name, "ended_ns": report.get("ended_ns") or report["began_ns"]}
+    return report | {
+        "state": "ready",
+        "text": out.name,
+        "ended_ns": report.get("ended_ns") or report["began_ns"],
+    }
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--tape",
         type=_lengths,
         metavar="WHEELBASE,HITCH,DRAWBAR",
-        help="lengths, m: the wheelbase, how far the hitch is behind the rear axle, hitch to implement's axle",
+        help="lengths, m: the wheelbase, the hitch behind the rear axle, hitch to implement's axle",
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the draft there, not to the screen")
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")

@@ -120,7 +120,8 @@ def soil_line(status: pb.Status, estimate: Estimate | None) -> str:
     """What is learned, in one line, kN/rad."""
     minutes, seconds = divmod(int(status.uptime_s), 60)
     soil = ", ".join(f"{name} {stiffness_text(one, bare=True)}" for name, one in _stiffnesses(estimate))
-    return f"{minutes}:{seconds:02d}  tyres, kN/rad (95 %): {soil}  {status.problems[0] if status.problems else ''}"
+    problem = status.problems[0] if status.problems else ""
+    return f"{minutes}:{seconds:02d}  tyres, kN/rad (95 %): {soil}  {problem}"
 
 
 def _times(count: int) -> str:

@@ -1,4 +1,4 @@
-"""What the page shows until the daemon of a demo is ready: a recorded drive that says of itself what it is."""
+"""What the page shows until the daemon of a demo is ready: a recorded drive that says what it is."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 

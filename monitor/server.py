@@ -78,6 +78,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),
 )
 
+
 class Shown(Protocol):
     """What the page shows: a View, or something before it."""
 
@@ -175,7 +176,7 @@ def _client_of(connection: HTTPConnection) -> str:
 
 
 class Guard:
-    """Adds the headers to every answer, hears no page of another origin, and no computer that is not invited."""
+    """Adds the headers to every answer; hears no page of another origin, no computer that is not invited."""
 
     def __init__(self, app: ASGIApp, invitation: Invitation | None = None) -> None:
         """invitation: None where all that reach this computer may look."""

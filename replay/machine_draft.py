@@ -87,7 +87,10 @@ def draft(findings: Findings, buses: Sequence[Bus], measured: Measured | None = 
 
 def _drawing() -> str:
     """How a to e are measured, as comments."""
-    lines = [*DRAWING.splitlines(), f"`{command('discover', '--help')}`: --scale and --tape find them by weighing"]
+    lines = [
+        *DRAWING.splitlines(),
+        f"`{command('discover', '--help')}`: --scale and --tape find them by weighing",
+    ]
     return "".join(f"# {line}\n" for line in lines)
 
 

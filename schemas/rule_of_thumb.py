@@ -26,7 +26,7 @@ front axle      CG      rear axle  hitch            CG    axle
 
 
 class Weights(NamedTuple):
-    """What stands on the scale, kg: the axles of the tractor alone, then the implement's axle and its tongue."""
+    """What stands on the scale, kg: each axle of the tractor alone, the implement's axle and its tongue."""
 
     front: float
     rear: float

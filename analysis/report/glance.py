@@ -156,9 +156,7 @@ def _drive(run: RunFacts, id: str) -> ReportSection:
 def _segments(run: RunFacts, id: str) -> ReportSection:
     title = "Segments"
     if not run["segments"]:
-        text = (
-            "No segment was found: no steering at 3.6 km/h or more with receivers that fit, and no straight row."
-        )
+        text = "No segment was found: no steering at 3.6 km/h or more with receivers that fit, no row."
         return ReportSection(f"{id}-parts", title, (ReportText(text),))
     rows = tuple(
         (

@@ -10,7 +10,6 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.states import DeviceState
 
-
 STARTING_NS: Final = 10_000_000_000
 """A receiver that has just been switched on sends before it has a position: so long that is no fault."""
 

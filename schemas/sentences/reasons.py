@@ -103,7 +103,9 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
-    Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last piece that was fitted",
+    Code.SOIL_CHANGED_SINCE: (
+        "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last piece that was fitted"
+    ),
     Code.WINDOW_OLD: "{of[0]}: the last piece that was fitted is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the piece that is fitted next has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",

@@ -1,4 +1,4 @@
-"""The page of a demo: a recorded drive until the daemon is ready, then the daemon, then what the demo gave."""
+"""The page of a demo: a recorded drive until the daemon is ready, then it, then what the demo gave."""
 
 import json
 from contextlib import closing

@@ -172,7 +172,9 @@ def test_what_is_no_number_is_not_recommended(bad: float) -> None:
     best = recommend(by_method(spoilt, estimate("steady_state", THREE)), 7)
     assert sentence(best.rule).startswith(METHODS[ENGLISH]["steady_state"])
     unsure = replace(pem, log_covariance=(math.nan,) * 36)
-    assert "steady_state" in sentence(recommend(by_method(unsure, estimate("steady_state", THREE)), 7).rule)
+    assert METHODS[ENGLISH]["steady_state"] in sentence(
+        recommend(by_method(unsure, estimate("steady_state", THREE)), 7).rule
+    )
 
 
 def apart(squared: float, count: int, sd: float = 0.05) -> float:
@@ -232,4 +234,6 @@ def test_covariances_that_cannot_be_compared_are_no_agreement() -> None:
 def test_leans_and_slope_are_those_of_the_tracker_whichever_method_is_recommended() -> None:
     leaning = replace(estimate("tracker"), excitation={"lean_tractor_deg": 0.6, "rows": 4.0})
     result = recommend({"tracker": leaning, "pem": estimate("pem")}, 9)
-    assert sentence(result.rule).startswith(METHODS[ENGLISH]["pem"]) and result.excitation == {"lean_tractor_deg": 0.6}
+    assert sentence(result.rule).startswith(METHODS[ENGLISH]["pem"]) and result.excitation == {
+        "lean_tractor_deg": 0.6
+    }
