@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from typing import Final
 
 from tilth.schemas.reasons import Code, Reason
-from tilth.schemas.sentences.diagnosis import DIAGNOSES
+from tilth.schemas.sentences import german
+from tilth.schemas.sentences.diagnosis import DIAGNOSES, Words
+from tilth.schemas.sentences.german import GERMAN
 from tilth.schemas.spread import share
 
 ENGLISH: Final = "en"  # key of the tables of words
@@ -128,10 +130,16 @@ METHODS: Final[Mapping[str, Mapping[str, str]]] = {
     ENGLISH: {
         "pem": "fits of whole manoeuvres", "tracker": "the running estimate",
         "steady_state": "steady turns", "rows": "straight rows", "place": "the memory of places",
-    }
+    },
+    GERMAN: german.METHODS,
 }  # fmt: skip
 """What people hear of an estimator: what it learns from."""
-LANGUAGES: Final[Mapping[str, Mapping[Code, str]]] = {ENGLISH: SENTENCES}
+LANGUAGES: Final[Mapping[str, Mapping[Code, str]]] = {ENGLISH: SENTENCES, GERMAN: german.SENTENCES}
+DIAGNOSED: Final[Mapping[str, Mapping[Code, Words]]] = {ENGLISH: DIAGNOSES, GERMAN: german.DIAGNOSES}
+AND: Final[Mapping[str, tuple[str, str, str, str]]] = {
+    ENGLISH: (" and ", "any other", "now", " for {:.0f} s"),
+    GERMAN: (" und ", "jedes andere", "jetzt", " {:.0f} s lang"),
+}
 _NOW: Final = (Code.NOTHING_LEARNED, Code.NOTHING_FITTED, Code.NO_STEADY_TURN_YET)
 """What says why nothing is learned now."""
 
@@ -147,17 +155,18 @@ def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
         return ""
     of = reason.of
     if reason.code in DIAGNOSES:
-        return DIAGNOSES[reason.code](of, reason.numbers)
+        return DIAGNOSED[language][reason.code](of, reason.numbers)
+    join, other, now, lasting = AND[language]
     of = tuple(METHODS[language].get(name, name) for name in of)
     text = LANGUAGES[language][reason.code].format(
         of=of,
         n=[_Number(number) for number in reason.numbers],
         keys=f" ({', '.join(of)})" if of else "",
-        seconds=f" for {reason.numbers[0]:.0f} s" if reason.numbers else "",
+        seconds=lasting.format(*reason.numbers[:1]) if reason.numbers else "",
         others=", ".join(of[1:]),
-        others_and=" and ".join(of[1:]) or "any other",
+        others_and=join.join(of[1:]) or other,
     )
     because = "; ".join(sentence(one, language) for one in reason.because)
     if not because:
         return text
-    return f"{text} (now: {because})" if reason.code in _NOW else f"{text}: {because}"
+    return f"{text} ({now}: {because})" if reason.code in _NOW else f"{text}: {because}"
