@@ -64,7 +64,7 @@ def response_section(response: ResponseFacts | None) -> ReportSection | None:
     for output in data["outputs"]:
         parts += [_figure(data, output, speed), _table(data, output)]
     parts += [
-        ReportText(f"{one['name']}: {one['sentence']}") for one in response["curves"] if one.get("sentence")
+        ReportText(one["sentence"]) for one in response["curves"] if one.get("sentence")
     ]
     return ReportSection("response", title, tuple(parts))
 

@@ -17,11 +17,16 @@ from tilth.analysis.report.wording import NOTHING, listed, many, number, probabi
 
 MARK: Final = "held out"
 TESTS: Final = {
-    "WhitenessTest": "white (Ljung–Box)",
-    "InputTest": "independent of the wheel angle",
-    "SizeTest": "as large as the filter says",
+    "WhitenessTest": "one step ahead: white (Ljung–Box)",
+    "InputTest": "one step ahead: independent of the wheel angle",
+    "SizeTest": "one step ahead: as large as the filter says",
 }
 """Names of tests by the class that holds one."""
+ANOTHER_TEST: Final = (
+    "This is another test than the one under Frequency response. Here each measurement corrects the prediction "
+    "of the next, so only what goes wrong within a step is seen. There nothing is corrected over a whole drive, "
+    "with parameters of all segments together, so small errors add up. A model can pass here and fail there."
+)
 OUTPUTS: Final = {
     "yaw_rate": ("yaw rate", "°/s", math.degrees(1.0)),
     "velocity": ("velocity", "m/s", 1.0),
@@ -133,9 +138,12 @@ def residuals_section(residuals: Sequence[TestFacts] | None) -> ReportSection | 
     failed = [f"{one['output']} ({_test(one)})" for one in residuals if one["outcome"] == "failed"]
     text = f"Not passed: {listed(failed)}." if failed else "No test of the residuals failed."
     columns = ("output", "test", "outcome", "p", "what it means")
-    caption = "Tests of what the fit leaves: residuals of a right model are white and free of steering."
+    caption = (
+        "Tests of what a segment's own fit leaves of each measurement, predicted one step ahead from all before "
+        "it: residuals of a right model are white and free of steering. p: as it counts among all tests."
+    )
     table = ReportTable("residual-tests", caption, columns, rows)
-    return ReportSection("residuals", "Residuals", (ReportText(text), table))
+    return ReportSection("residuals", "Residuals", (ReportText(text), table, ReportText(ANOTHER_TEST)))
 
 
 def _test(one: TestFacts) -> str:
