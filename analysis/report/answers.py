@@ -106,7 +106,8 @@ def _counted(test: str, outcomes: Sequence[str], tests: int) -> TestFacts:
     """The row that says how many passed."""
     passed = outcomes.count("passed")
     sentence = (
-        f"{passed} of {len(outcomes)} outputs of segments passed, at {LEVEL:.0%} for all {tests} tests together "
+        f"{passed} of {len(outcomes)} outputs of segments passed, at {LEVEL:.0%} for all {tests} tests "
+        "together "
         "(Holm)."
     ).replace("%", " %")
     outcome = "passed" if passed == len(outcomes) else "undecided"

@@ -270,7 +270,8 @@ def _curve(name: str, model: System, beyond: Transfer | None, hz: Array, excited
     if wrong:
         sentence = (
             f"{name}: simulated over the whole drive without correction, it leaves errors of "
-            f"{' and '.join(wrong)} that follow the wheel angle: a linear model with these parameters does not "
+            f"{' and '.join(wrong)} that follow the wheel angle: a linear model with these parameters "
+            "does not "
             "explain all that the steering did."
         )
     else:

@@ -70,7 +70,9 @@ CASES: list[tuple[str, Floats, float]] = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "wheel_deg", "seconds"), CASES, ids=[f"{case[0]}-{k}" for k, case in enumerate(CASES)])
+@pytest.mark.parametrize(
+    ("kind", "wheel_deg", "seconds"), CASES, ids=[f"{case[0]}-{k}" for k, case in enumerate(CASES)]
+)
 def test_each_manoeuvre_is_found_by_its_name(kind: str, wheel_deg: Floats, seconds: float) -> None:
     steering = [segment for segment in segments.find(poses(wheel_deg)) if segment.steers]
     assert [segment.kind for segment in steering] == [kind]
