@@ -36,7 +36,8 @@ def test_fits_by_segment_and_together() -> None:
 
 def test_fits_without_a_joint_one() -> None:
     section = fit_section(fit() | {"joint": None, "agreement": None})
-    assert section is not None and section.sections == () and len(table(section).rows) == 3
+    assert section is not None and [one.id for one in section.sections] == ["fit-published"]
+    assert len(table(section).rows) == 3
 
 
 def test_held_out_cells_are_marked_in_words() -> None:
@@ -95,6 +96,17 @@ def test_segments_that_do_not_agree_predict_nothing_and_stand_in_groups() -> Non
     ]
     names = [row[0].text for row in table(fit_section(told)).rows]
     assert names[-2:] == ["together: s1 to s2", "all together"] and "together: s3" not in names
+
+
+def test_published_values_stand_beside_the_fit_with_their_sources() -> None:
+    section = fit_section(fit())
+    assert section is not None
+    (beside,) = (one for one in section.sections if one.id == "fit-published")
+    rows = table(beside).rows
+    assert (
+        rows[0][0].text == "this fit" and rows[1][1].text == "90.0 ± 9.8" and rows[1][7].text.startswith("Table")
+    )
+    assert any("Iowa State University" in text for text in texts(beside))
 
 
 def test_residuals() -> None:
