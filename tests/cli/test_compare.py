@@ -65,9 +65,7 @@ def test_published_values_stand_beside_a_fit_and_are_no_fault(call: Answer, tmp_
     good.write_text(json.dumps(answer()))
     status, out, _ = call("compare", good, "published")
     told = " ".join(out.split())
-    assert (
-        status == 0 and "Karkee" in told and "a difference is no fault" in told and "no sd" in told
-    )
+    assert status == 0 and "Karkee" in told and "a difference is no fault" in told and "no sd" in told
     status, out, _ = call("compare", good, "published", "--json")
     first = json.loads(out)["published"][0]["parameters"][0]
     assert first["name"] == "C_af" and first["ratio"] == pytest.approx(200 / 90)

@@ -104,7 +104,9 @@ def test_published_values_stand_beside_the_fit_with_their_sources() -> None:
     (beside,) = (one for one in section.sections if one.id == "fit-published")
     rows = table(beside).rows
     assert (
-        rows[0][0].text == "this fit" and rows[1][1].text == "90.0 ± 9.8" and rows[1][7].text.startswith("Table")
+        rows[0][0].text == "this fit"
+        and rows[1][1].text == "90.0 ± 9.8"
+        and rows[1][7].text.startswith("Table")
     )
     assert any("Iowa State University" in text for text in texts(beside))
 
