@@ -15,6 +15,7 @@ the same drives have neither patches nor a wet end.
 import math
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -22,7 +23,17 @@ import estimation_runs
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, followed
-from estimation_table import Bench, Line, Row, Z, drives_asked, drives_parser, figures, percents, print_rows
+from estimation_table import (
+    Bench,
+    Line,
+    Row,
+    Z,
+    drives_asked,
+    drives_parser,
+    figures,
+    percents,
+    print_rows,
+)  # fmt: skip
 from numpy.typing import NDArray
 from scipy.special import j0
 
@@ -189,7 +200,12 @@ def row(first: int, one_soil: bool, bench: Bench) -> list[Line]:
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
     return [
-        *(line for method in METHODS for k, where in enumerate(WHERE) for line in _lines(made, method, where, k)),
+        *(
+            line
+            for method in METHODS
+            for k, where in enumerate(WHERE)
+            for line in _lines(made, method, where, k)
+        ),
         *(line for k, where in enumerate(WHERE) for line in _scores(made, where, k)),
         *_ahead(made),
         Line("soil_change was told, in each field", " ".join(str(len(one["changes"])) for one in made)),
@@ -202,8 +218,9 @@ def _ahead(made: Sequence[Result]) -> Iterator[Line]:
         error, sd = np.abs(told).T
         half = float(np.median(Z * sd))
         yield Line(
-            f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the common "
-            "factor; median error", percents([half, float(np.median(error))], 0), "≤ 20 %", half <= AHEAD,
+            f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the "
+            "common factor; median error",
+            percents([half, float(np.median(error))], 0), "≤ 20 %", half <= AHEAD,
         )  # fmt: skip
         holds = float(np.mean(error < Z * sd))
         yield Line("wet end: intervals hold", percents([holds], 0), "≥ 92 %", holds >= HOLD)

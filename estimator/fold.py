@@ -378,7 +378,8 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     method_state = state.estimators[method]
     foreseen, learners = False, [other for other in rows_for(state.machine) if other.learn is not None]
     for other in learners if made is not None and method_state.job is not None else []:
-        foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
+        if other.learn is not None:
+            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
     if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
         diagnosis.rows_tell(state.diagnosis, made.of_file, made.seconds)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)

@@ -22,8 +22,8 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.results.recommend import ROWS
+from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis

@@ -146,8 +146,8 @@ def misfit(state: TrackerState, believing: TrackerState, machine: Machine) -> Mi
 def from_file(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
     """What is found, (n,) off the machine file with its covariance, (n, n), of unknowns.NAMES. believing: the
     covariance of what believes the file as far as its sds say."""
-    both = (one[np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)] for one in (covariance, believing))
-    return misfit_of(off[PLACES], *both, machine)
+    at = np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)
+    return misfit_of(off[PLACES], covariance[at], believing[at], machine)
 
 
 def is_rough(state: TrackerState) -> bool:

@@ -411,10 +411,12 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
     state.changed_ns += by_ns if state.changed_ns else 0
 
 
-def learn(state: TrackerState, job: Any, made: Any) -> None:
-    """Take what a fit of `pem` has shown of the model of the ground: this method has the same."""
+def learn(state: TrackerState, job: Any, made: Any) -> bool:
+    """Take what a fit of `pem` has shown of the model of the ground: this method has the same. A change of
+    soil is not foreseen here."""
     if isinstance(made, pem.Fit):
         state.excess = made.contrast.excess
+    return False
 
 
 def reported_covariance(state: TrackerState) -> Array:
