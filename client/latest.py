@@ -49,7 +49,7 @@ class RefusalCode(StrEnum):
     DATA_AGE_UNKNOWN = "data_age_unknown"
 
 
-class Refusal(NamedTuple):
+class ParameterRefusal(NamedTuple):
     """Why a parameter may not be used. The code is for programs, the text for people; neither has an age in
     it, so both stay the same while nothing changes."""
 
@@ -57,7 +57,7 @@ class Refusal(NamedTuple):
     text: str
 
 
-_USABLE: Final = Refusal("", "")
+_USABLE: Final = ParameterRefusal("", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Latest:
 
     estimate: Estimate | None  # as published; None before the first
     age_s: float  # of the estimate by this computer's own clock and what is known of its way; inf before
-    judged: tuple[Refusal, ...]  # of each of PARAMETERS
+    judged: tuple[ParameterRefusal, ...]  # of each of PARAMETERS
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -147,26 +147,26 @@ def judge(estimate: Estimate | None, age_s: float, rule: Staleness, instead: str
     """What the rule leaves of an estimate that is so old. instead: what is heard where there is none."""
     if estimate is None:
         code = RefusalCode.SIMULATION_ONLY if instead else RefusalCode.NOTHING_HEARD
-        return Latest(None, math.inf, (Refusal(code, instead or "nothing has been heard yet"),) * _N)
+        return Latest(None, math.inf, (ParameterRefusal(code, instead or "nothing has been heard yet"),) * _N)
     if age_s > rule.silence_s:
         known = math.isfinite(age_s)
         cause = f"no estimate for over {rule.silence_s:g} s" if known else "how old it is cannot be known"
         code = RefusalCode.SILENCE if known else RefusalCode.AGE_UNKNOWN
         text = f"{cause}: the daemon, its buses or the network have stopped"
-        return Latest(estimate, age_s, (Refusal(code, text),) * _N)
+        return Latest(estimate, age_s, (ParameterRefusal(code, text),) * _N)
     return Latest(estimate, age_s, tuple(_refusal(estimate, i, age_s, rule) for i in range(_N)))
 
 
-def _refusal(estimate: Estimate, i: int, age_s: float, rule: Staleness) -> Refusal:
+def _refusal(estimate: Estimate, i: int, age_s: float, rule: Staleness) -> ParameterRefusal:
     parameter = estimate.parameters[i]
     if parameter.status is not Status.ESTIMATED:
         status, reason = parameter.status.name.lower(), parameter.reason
         code = status if reason is None or reason.code is Code.TEXT else reason.code.value
-        return Refusal(code, f"{status}: {sentence(reason)}")
+        return ParameterRefusal(code, f"{status}: {sentence(reason)}")
     if math.isinf(rule.data_s):
         return _USABLE
     if parameter.age_s is None:
-        return Refusal(RefusalCode.DATA_AGE_UNKNOWN, "it does not say when data last informed it")
+        return ParameterRefusal(RefusalCode.DATA_AGE_UNKNOWN, "it does not say when data last informed it")
     if parameter.age_s + age_s <= rule.data_s:
         return _USABLE
-    return Refusal(RefusalCode.OLD_DATA, f"stale: data last informed it over {rule.data_s:g} s ago")
+    return ParameterRefusal(RefusalCode.OLD_DATA, f"stale: data last informed it over {rule.data_s:g} s ago")

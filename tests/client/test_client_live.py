@@ -93,6 +93,7 @@ def documented(endpoint: str, beside_demo: bool = False) -> str:
     page = ROOT / "docs/client.md"
     lines = page.read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
     assert "with Client" in lines and ", replay=True)" in lines
+    lines = lines.replace("    print(theta, latest.codes, latest.reason)\n", "")
     lines = lines if beside_demo else lines.replace(", replay=True)", ")")
     return lines.replace("stale=stale", f'endpoint="{endpoint}", stale=stale')
 
@@ -100,7 +101,7 @@ def documented(endpoint: str, beside_demo: bool = False) -> str:
 def test_the_lines_of_the_documentation(publisher: Publisher) -> None:
     names: dict[str, Any] = {}
     exec(documented(publisher.endpoint), names)
-    assert names["theta"] == pytest.approx(THETA) and names["A"].shape == (9, 9)
+    assert (names["theta"] != names["nominal"]).all() and names["A"].shape == (9, 9)
 
 
 def test_the_lines_of_the_documentation_as_they_stand_hear_a_simulation() -> None:
