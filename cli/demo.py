@@ -39,7 +39,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--guidance",
         action="store_true",
         help="instead: a controller keeps the implement on its line by the live estimates, over soil that "
-        "gets softer half-way; fixed gains beside it (3 minutes of driving, and half a minute before it)",
+        "gets softer half-way; fixed gains beside it (4 minutes of driving, and half a minute before it)",
     )
     parser.add_argument(
         "--fast",
@@ -50,7 +50,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--from-change",
         action="store_true",
-        help="with --guidance: begin one row before the soil changes (2 minutes)",
+        help="with --guidance: begin one row before the soil changes (3 minutes)",
     )
     parser.add_argument(
         "--spatial",

@@ -50,7 +50,7 @@ from tilth.simulator.scenario import as_json
 from tilth.simulator.simulate import PACKAGED
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
-FROM_CHANGE: Final = replace(WORK, rows=4, rows_before=1)  # what is to be seen, without what comes before it
+FROM_CHANGE: Final = replace(WORK, rows=5, rows_before=1)  # what is to be seen, without what comes before it
 FIGURE: Final = "guidance.svg"
 
 
