@@ -228,8 +228,7 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
     recommended = summary.estimates.get("recommended")
     for method, estimate in summary.estimates.items():
         if estimate is not recommended:
-            same = recommended is not None and recommended.parameters == estimate.parameters
-            console.print(_table(f"{method} (recommended)" if same else method, estimate))
+            console.print(_table(method, estimate))
     cut = ", cut off" if summary.truncated else ""
     console.print(
         f"{summary.frames} frames in {summary.duration_ns * 1e-9:.1f} s{cut}; "
@@ -245,6 +244,8 @@ def _show(summary: ReplaySummary, comparison: Comparison | None) -> None:
         console.print(f"flagged: {flagged.poses} poses {flag}")
     if not summary.poses:
         console.print("No estimate: there were too few poses; see what is rejected, and the machine file.")
+    if recommended is not None:
+        console.print(_recommended(recommended))
     if comparison is not None:
         console.print(_compared(comparison))
 
@@ -279,13 +280,32 @@ def _largest(comparison: Comparison) -> str:
     return f", the largest difference {largest.amount:.0e} of {largest.tolerance:.0e} in {largest.field}"
 
 
-def _table(title: str, estimate: Estimate) -> Table:
+def _recommended(estimate: Estimate) -> Table:
+    """What to use, last of all: the six alone, and whose they are."""
+    table = _of_six("recommended")
+    _add_six(table, estimate)
+    rule = f": {sentence(estimate.rule)}" if estimate.rule else ""
+    table.caption = f"by {estimate.method}{rule}"
+    table.caption_justify = "left"
+    return table
+
+
+def _of_six(title: str) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in ("", "estimate", "status", "reason"):
         table.add_column(heading, overflow="fold")
+    return table
+
+
+def _add_six(table: Table, estimate: Estimate) -> None:
     for name, p in zip(PARAMETERS, estimate.parameters, strict=True):
         value_text = "-" if p.value is None or p.sd is None else of_parameter(name, p.value, p.sd)
         table.add_row(name, value_text, p.status.name.lower(), sentence(p.reason))
+
+
+def _table(title: str, estimate: Estimate) -> Table:
+    table = _of_six(title)
+    _add_six(table, estimate)
     if (own := estimate.own_steering) is not None:
         told = f"{100 * own.share:.0f} % of it, {math.degrees(own.rms):.2f}° rms"
         table.add_row("wheel angle in rows that is the steering's own", told, "measured", "")

@@ -14,10 +14,19 @@ from rich.table import Table as RichTable
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.analysis.sensitivity.answers import UncertaintyAnswer, UncertaintyData
 from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
+from tilth.analysis.sensitivity.local_page import MEANINGS
 from tilth.analysis.sensitivity.outputs import LONGEST, NAMES, OUTPUTS, SPEEDS, STEP, STEP_S
 from tilth.analysis.sensitivity.propagation import DRAWS, UncertaintyQuestion, uncertainty_answer
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
-from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to, uncertainty_report
+from tilth.analysis.sensitivity.uncertainty_page import (
+    TOLD,
+    WHICH,
+    apart,
+    causes,
+    in_words,
+    known_to,
+    uncertainty_report,
+)
 from tilth.cli import WrongUse, as_given, at_least, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
@@ -231,10 +240,16 @@ def _show(name: str, answer: UncertaintyAnswer) -> None:
             table.add_column(heading, overflow="fold")
         for name, output in entry["outputs"].items():
             first = known_to(output["first_order"], output["unit"])
-            table.add_row(name, known_to(output["half"], output["unit"]), first, causes(output))
+            words = f"{name}, {TOLD[name]}" if TOLD[name] != name.replace("_", " ") else TOLD[name]
+            table.add_row(words, known_to(output["half"], output["unit"]), first, causes(output))
         console.print(table)
+        if told := apart(entry["outputs"]):
+            console.print(told)
         if entry["unstable_share"] > 0:
             console.print(f"{100 * entry['unstable_share']:.1f} % of the rigs drawn are unstable, left out.")
         for name, output in entry["outputs"].items():
             if "wanted" in output:
                 console.print(in_words(name, output, answer["parameters"]))
+    console.print(WHICH)
+    names = ", ".join(f"{name}: {MEANINGS[name]}" for name in answer["parameters"])
+    console.print(f"Parameters: {names}.")

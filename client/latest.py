@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import Rig
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
+from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import sentence
 
 Array = NDArray[np.float64]
@@ -36,18 +38,56 @@ class Staleness:
             raise ValueError(f"data_s = {self.data_s}: give seconds above zero, or math.inf")
 
 
+class RefusalCode(StrEnum):
+    """Why the client itself refuses; other codes are the daemon's (schemas.reasons.Code)."""
+
+    NOTHING_HEARD = "nothing_heard"
+    SIMULATION_ONLY = "simulation_only"  # heard is only a simulation or a replay of this machine
+    SILENCE = "silence"  # no estimate for longer than silence_s
+    AGE_UNKNOWN = "age_unknown"  # of the estimate: a daemon of another version
+    OLD_DATA = "old_data"  # data informed it longer ago than data_s
+    DATA_AGE_UNKNOWN = "data_age_unknown"
+
+
+class ParameterRefusal(NamedTuple):
+    """Why a parameter may not be used. The code is for programs, the text for people; neither has an age in
+    it, so both stay the same while nothing changes."""
+
+    code: str  # of RefusalCode or schemas.reasons.Code, or a status; "" where it may be used
+    text: str
+
+
+_USABLE: Final = ParameterRefusal("", "")
+
+
 @dataclass(frozen=True, slots=True)
 class Latest:
     """The last estimate, judged at the moment of asking."""
 
     estimate: Estimate | None  # as published; None before the first
     age_s: float  # of the estimate by this computer's own clock and what is known of its way; inf before
-    refusals: tuple[str, ...]  # of each of PARAMETERS: why it may not be used, "" where it may
+    judged: tuple[ParameterRefusal, ...]  # of each of PARAMETERS
+
+    @property
+    def refusals(self) -> tuple[str, ...]:
+        """Of each of PARAMETERS: why it may not be used, in words, "" where it may."""
+        return tuple(one.text for one in self.judged)
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """The same as codes: of RefusalCode, or the daemon's (docs/codes.md)."""
+        return tuple(one.code for one in self.judged)
+
+    @property
+    def data_ages_s(self) -> tuple[float, ...]:
+        """Of each of PARAMETERS: how long ago data informed it; inf where that is not known."""
+        rows = (None,) * _N if self.estimate is None else self.estimate.parameters
+        return tuple(math.inf if row is None or row.age_s is None else row.age_s + self.age_s for row in rows)
 
     @property
     def usable(self) -> tuple[bool, ...]:
         """Of each of PARAMETERS."""
-        return tuple(not refusal for refusal in self.refusals)
+        return tuple(not one.code for one in self.judged)
 
     @property
     def reason(self) -> str:
@@ -63,7 +103,7 @@ class Latest:
         values = np.array(nominal, dtype=float)
         if self.estimate is not None:
             for i, parameter in enumerate(self.estimate.parameters):
-                if not self.refusals[i] and parameter.value is not None:
+                if not self.judged[i].code and parameter.value is not None:
                     values[i] = parameter.value
         return values
 
@@ -106,18 +146,27 @@ def linear(rig: Rig, theta: ArrayLike, u: float, model: str = "relaxation") -> L
 def judge(estimate: Estimate | None, age_s: float, rule: Staleness, instead: str = "") -> Latest:
     """What the rule leaves of an estimate that is so old. instead: what is heard where there is none."""
     if estimate is None:
-        return Latest(None, math.inf, (instead or "nothing has been heard yet",) * _N)
+        code = RefusalCode.SIMULATION_ONLY if instead else RefusalCode.NOTHING_HEARD
+        return Latest(None, math.inf, (ParameterRefusal(code, instead or "nothing has been heard yet"),) * _N)
     if age_s > rule.silence_s:
-        cause = "how old it is cannot be known" if math.isinf(age_s) else f"no estimate for {age_s:.1f} s"
-        return Latest(estimate, age_s, (f"{cause}: the daemon, its buses or the network have stopped",) * _N)
+        known = math.isfinite(age_s)
+        cause = f"no estimate for over {rule.silence_s:g} s" if known else "how old it is cannot be known"
+        code = RefusalCode.SILENCE if known else RefusalCode.AGE_UNKNOWN
+        text = f"{cause}: the daemon, its buses or the network have stopped"
+        return Latest(estimate, age_s, (ParameterRefusal(code, text),) * _N)
     return Latest(estimate, age_s, tuple(_refusal(estimate, i, age_s, rule) for i in range(_N)))
 
 
-def _refusal(estimate: Estimate, i: int, age_s: float, rule: Staleness) -> str:
+def _refusal(estimate: Estimate, i: int, age_s: float, rule: Staleness) -> ParameterRefusal:
     parameter = estimate.parameters[i]
     if parameter.status is not Status.ESTIMATED:
-        return f"{parameter.status.name.lower()}: {sentence(parameter.reason)}"
+        status, reason = parameter.status.name.lower(), parameter.reason
+        code = status if reason is None or reason.code is Code.TEXT else reason.code.value
+        return ParameterRefusal(code, f"{status}: {sentence(reason)}")
+    if math.isinf(rule.data_s):
+        return _USABLE
     if parameter.age_s is None:
-        return "" if math.isinf(rule.data_s) else "it does not say when data last informed it"
-    data_s = parameter.age_s + age_s
-    return "" if data_s <= rule.data_s else f"stale: data last informed it {data_s:.0f} s ago"
+        return ParameterRefusal(RefusalCode.DATA_AGE_UNKNOWN, "it does not say when data last informed it")
+    if parameter.age_s + age_s <= rule.data_s:
+        return _USABLE
+    return ParameterRefusal(RefusalCode.OLD_DATA, f"stale: data last informed it over {rule.data_s:g} s ago")

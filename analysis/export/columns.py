@@ -32,8 +32,8 @@ _BODIES: Final = {"tractor": "T", "implement": "I"}
 _IN_WORLD: Final = re.compile(r"(tractor_|implement_)?(x|y|sd_position|(sd_)?heading|course)(_|$)")
 _ON_EARTH: Final = re.compile(r"(origin_)?(latitude|longitude|altitude)_")
 _OF_BODY: Final = re.compile(r"(tractor|implement)_.*(velocity|yaw_rate|roll|pitch)")
+_WORDS: Final = ", ".join(status.name.lower() for status in Status)
 _STATUS: Final = re.compile(rf"({'|'.join(PARAMETERS)})_status")
-_CODES: Final = ", ".join(f"{int(status)} {status.name.lower()}" for status in Status)
 
 Mask = NDArray[np.bool_]
 
@@ -73,6 +73,27 @@ class ExportRows:
             tuple(values[chosen] for values in self.values),
             tuple(None if absent is None else absent[chosen] for absent in self.absent),
         )
+
+    def of_run(self, run: str) -> "ExportRows":
+        """With the name of the run in each row: rows of several runs in one table stay apart."""
+        names = np.full(len(self), run, object)
+        column = ExportColumn("of_run", TEXT, meaning="folder of the run")
+        return ExportRows((*self.columns, column), (*self.values, names), (*self.absent, None))
+
+    def filled(self) -> frozenset[str]:
+        """Names of columns that hold anything."""
+        found = set()
+        for column, values, absent in zip(self.columns, self.values, self.absent, strict=True):
+            there = np.ones(len(self), np.bool_) if absent is None else ~absent
+            if column.kind == DOUBLE:
+                there &= np.isfinite(values) | np.isinf(values)
+            elif column.kind == INSTANT:
+                there &= ~np.isnat(values)
+            elif column.kind == TEXT:
+                there &= values.astype(np.bool_)
+            if there.any():
+                found.add(column.name)
+        return frozenset(found)
 
     def but(self, names: frozenset[str]) -> "ExportRows":
         """Without these columns."""
@@ -169,10 +190,15 @@ def _columns(table: Table, name: str) -> Iterator[_Made]:
         yield replace(column, kind=TEXT, meaning="hexadecimal"), digits, absent
     elif values.dtype == object:
         yield replace(column, kind=TEXT), values, None
+    elif _STATUS.fullmatch(name):
+        yield replace(column, kind=TEXT, meaning=_WORDS), _each(_status_word, values), absent
     else:
-        kind = TRUTH if values.dtype == np.bool_ else WHOLE
-        meaning = _CODES if _STATUS.fullmatch(name) else ""
-        yield replace(column, kind=kind, meaning=meaning), values, absent
+        yield replace(column, kind=TRUTH if values.dtype == np.bool_ else WHOLE), values, absent
+
+
+def _status_word(code: int) -> str:
+    """Such as: estimated; the number where this version knows none."""
+    return Status(code).name.lower() if code in {int(status) for status in Status} else str(code)
 
 
 def _each(text: Callable[[Any], str], values: NDArray[Any]) -> NDArray[Any]:

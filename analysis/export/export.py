@@ -102,7 +102,7 @@ def export(run: Run, plan: ExportPlan, folder: Path, progress: Progress = no_pro
         if plan.clock_ns is not None:
             facts["clock"] = {"period_s": plan.clock_ns / 1e9, "oldest_s": ages([*plan.channels])}
         done = Exported(run.id, folder)
-        with contextlib.closing(_Files(plan, place, facts)) as files:
+        with contextlib.closing(_Files(plan, place, facts, folder.name)) as files:
             passes = _Passes(run, plan, progress)
             if plan.clock_ns is None:
                 _each_channel(run, plan, passes, files)
@@ -150,17 +150,30 @@ def _unfinished(folder: Path) -> Iterator[Path]:
 class _Files:
     """The files of a run, each made when the first rows come."""
 
-    def __init__(self, plan: ExportPlan, place: Path, facts: dict[str, object]) -> None:
-        self._plan, self._place, self._facts = plan, place, facts
+    def __init__(self, plan: ExportPlan, place: Path, facts: dict[str, object], run: str) -> None:
+        self._plan, self._place, self._facts, self._run = plan, place, facts, run
+        self._filled: dict[str, frozenset[str]] = {}
+        self._empty: dict[str, list[str]] = {}
         self._open: dict[str, TableFile] = {}
         self._columns: dict[str, Sequence[ExportColumn]] = {}
         self.rows: dict[str, int] = {}
 
+    def look(self, name: str, rows: ExportRows) -> None:
+        """Rows that will be written: which columns of the file will hold anything."""
+        self._filled[name] = self._filled.get(name, frozenset()) | rows.filled()
+
+    def know(self, name: str, rows: ExportRows, empty: frozenset[str]) -> None:
+        """Instead of `look`: that only these columns will hold nothing."""
+        self._filled[name] = frozenset(column.name for column in rows.columns) - empty
+
     def write(self, name: str, rows: ExportRows) -> None:
-        """Add rows to the file of a channel."""
+        """Add rows to the file of a channel, without columns that stay empty in all of it."""
         if not len(rows):
             return
         file = f"{name}.{self._plan.form}"
+        empty = frozenset(column.name for column in rows.columns) - self._filled[name]
+        self._empty[file] = sorted(empty)
+        rows = rows.but(empty).of_run(self._run)
         if file not in self._open:
             facts = {**self._facts, "columns": described(rows.columns)}
             self._open[file] = FORMATS[self._plan.form](self._place / file, rows.columns, facts)
@@ -180,7 +193,7 @@ class _Files:
 
     def about(self) -> dict[str, object]:
         return {
-            name: {"rows": rows, "columns": described(self._columns[name])}
+            name: {"rows": rows, "columns": described(self._columns[name]), "empty": self._empty[name]}
             for name, rows in self.rows.items()
         }
 
@@ -192,10 +205,15 @@ class _Passes:
         self._run, self._plan, self._progress = run, plan, progress
         self._size = sum(file.path.stat().st_size for file in run.files)
         self._topics = {TOPICS[name]: name for name in plan.channels if name in TOPICS}
-        twice = bool(self._topics) and (plan.clock_ns is not None or CAN in plan.channels)
-        self._all = self._size * (2 if twice else 1)
+        of_tables = 0 if not self._topics else 2 if plan.clock_ns is None else 3
+        self._all = self._size * (of_tables + (CAN in plan.channels))
         self._before = 0
         self._of_frames: dict[str, int] = {}
+
+    @property
+    def no_day(self) -> frozenset[str]:
+        """Columns that are empty where the run does not know UTC."""
+        return frozenset() if self._run.reader.clock.utc_minus_ns is not None else frozenset({"utc_s", "utc"})
 
     def _heard(self, read: int) -> None:
         self._progress(self._before + read, self._all)
@@ -254,9 +272,12 @@ def _joined(parts: Sequence[FrameColumns]) -> FrameColumns:
 
 def _each_channel(run: Run, plan: ExportPlan, passes: _Passes, files: _Files) -> None:
     for name, table in passes.tables():
+        files.look(name, rows_of(table))
+    for name, table in passes.tables():
         files.write(name, rows_of(table))
     if CAN in plan.channels:
-        for rows in passes.frames():
+        for rows in passes.frames():  # of these only the time of day can be empty: they are read once
+            files.know(CAN, rows, passes.no_day)
             files.write(CAN, rows)
 
 
@@ -267,12 +288,13 @@ def _on_clock(run: Run, plan: ExportPlan, passes: _Passes, files: _Files) -> int
         senders.take(name, table)
     if not senders.found:
         return 0
-    made = ClockTable(senders, _ticks(run, plan), run.reader.clock)
-    for name, table in passes.tables():
-        for rows in made.take(name, table):
-            files.write(CLOCK, rows)
-    for rows in made.end():
-        files.write(CLOCK, rows)
+    for use in (files.look, files.write):
+        made = ClockTable(senders, _ticks(run, plan), run.reader.clock)
+        for name, table in passes.tables():
+            for rows in made.take(name, table):
+                use(CLOCK, rows)
+        for rows in made.end():
+            use(CLOCK, rows)
     return made.late
 
 

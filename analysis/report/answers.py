@@ -110,7 +110,7 @@ def _counted(test: str, outcomes: Sequence[str], tests: int) -> TestFacts:
         "together "
         "(Holm)."
     ).replace("%", " %")
-    outcome = "passed" if passed == len(outcomes) else "undecided"
+    outcome = "passed" if passed == len(outcomes) else "not all" if "failed" in outcomes else "undecided"
     return {"output": "all", "test": test, "outcome": outcome, "p_value": None, "sentence": sentence}
 
 

@@ -26,6 +26,30 @@ _UNIT: Final = {"m": "m", "": "%"}
 _FACTOR: Final = {"m": 1.0, "": 100.0}
 
 
+MUCH: Final = 1.5  # first order and all of the model differ by this factor: said in words
+WHICH: Final = (
+    "Use “known to”: it carries each rig drawn through the whole model. The first order takes the "
+    "outputs for "
+    "straight lines in the parameters; it holds while both are alike, and gives the shares."
+)
+
+
+def apart(outputs: Mapping[str, OutputAnswer]) -> str:
+    """Where the first order is far from what the whole model gives, in words; "" where nowhere."""
+    far = [
+        name
+        for name, one in outputs.items()
+        if one["half"] and one["first_order"] and not 1 / MUCH <= one["first_order"] / one["half"] <= MUCH
+    ]
+    if not far:
+        return ""
+    return (
+        f"For {listed(far)} the first order is far off, since the model bends over what is not known "
+        "(or near "
+        "instability): take “known to” alone, and the shares for a hint."
+    )
+
+
 def known_to(half: float | None, unit: str) -> str:
     """Half of a 95 % interval, in words."""
     if half is None:
@@ -109,7 +133,10 @@ def _short(data: UncertaintyData) -> ReportSection:
 
 def _at_speed(data: UncertaintyData, entry: UncertaintyEntry) -> ReportSection:
     key, outputs = _key(entry), entry["outputs"]
-    parts: list[Part] = [_outputs_table(entry, key), _alone_table(entry, key)]
+    parts: list[Part] = [_outputs_table(entry, key)]
+    if told := apart(outputs):
+        parts.append(ReportText(told))
+    parts.append(_alone_table(entry, key))
     parts += [_distributions(entry, key), _growth(entry, key)]
     parts += [
         _wanted_table(name, one, data["parameters"], key) for name, one in outputs.items() if "wanted" in one
@@ -130,8 +157,10 @@ def _outputs_table(entry: UncertaintyEntry, key: str) -> ReportTable:
     )
     caption = (
         f"How far each output may be from that of the rig at its medians, 95 % of {entry['draws']} rigs "
-        f"simulated for {entry['seconds']:.3g} s; beside it the first order, and what share of its variance "
-        "each parameter has. Shares of correlated parameters may be negative. Outputs without a unit of "
+        f"simulated for {entry['seconds']:.3g} s: use this. Beside it the first order, which takes "
+        "outputs for "
+        "straight lines in the parameters, and what share of its variance each parameter has. Shares "
+        "of correlated parameters may be negative. Outputs without a unit of "
         "their own are in per cent of the output."
     )
     columns = ("output", "meaning", "all together", "first order", "of the variance")

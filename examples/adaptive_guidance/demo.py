@@ -50,18 +50,41 @@ from tilth.simulator.scenario import as_json
 from tilth.simulator.simulate import PACKAGED
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
+FROM_CHANGE: Final = replace(WORK, rows=5, rows_before=1)  # what is to be seen, without what comes before it
 FIGURE: Final = "guidance.svg"
 
 
 @dataclass(frozen=True, slots=True)
-class Guided:
-    """What the demo gave."""
+class GuidedPaths:
+    """The same field with fixed gains and with those that adapt."""
 
-    summary: RunSummary
     fixed: DrivenPath
     adapting: DrivenPath
-    commands: dict[str, Any]  # what became of them, as the tractor tells it
     figure: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class Guided(GuidedPaths):
+    """What the demo gave on the wires of a rig."""
+
+    summary: RunSummary
+    commands: dict[str, Any]  # what became of them, as the tractor tells it
+
+
+def run_lockstep(seed: int, folder: Path, say: Callable[[str], None], work: Work = WORK) -> GuidedPaths:
+    """Drive the field twice, both times faster than real time and without wires: no log, no page. The figure
+    goes into the folder. Raises DemoError, OSError."""
+    paths = {}
+    for gains in ("fixed", "adapting"):
+        say(f"driving the field with {gains} gains, faster than real time")
+        try:
+            paths[gains] = driven(packaged(), seed, gains, work)
+        except RuntimeError as error:
+            raise DemoError(str(error)) from None
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = folder / FIGURE
+    draw(paths, figure)
+    return GuidedPaths(paths["fixed"], paths["adapting"], figure)
 
 
 def run_guidance(
@@ -109,7 +132,7 @@ def run_guidance(
     if len(adapting.time) and summary.log_files:
         figure = summary.log_files[0].with_name(FIGURE)
         draw({"fixed": fixed, "adapting": adapting}, figure)
-    return Guided(summary, fixed, adapting, watching.end, figure)
+    return Guided(fixed, adapting, figure, summary, watching.end)
 
 
 def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
@@ -237,7 +260,7 @@ class _Watching:
         self.events.append(("guidance", in_words(text)))
 
 
-def table(guided: Guided) -> Table:
+def table(guided: GuidedPaths) -> Table:
     """Both controllers' errors, for a terminal."""
     errors_table = Table(title="Implement off its line, RMS, cm", title_justify="left")
     errors_table.add_column("gains")

@@ -30,6 +30,7 @@ class Work:
     length: float = 120.0
     spacing: float = 36.0
     radius: float = 12.0  # of the rear axle, in turns
+    rows_before: int | None = None  # the soil changes; None: half of them
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,7 +93,8 @@ def patches_of(machine: Machine, work: Work, seed: int) -> Scenario:
 
 def middle(work: Work) -> float:
     """Where the soil changes: half-way between two rows, m east."""
-    return (work.rows - 1) / 2 * work.spacing
+    before = work.rows / 2 if work.rows_before is None else work.rows_before
+    return (before - 0.5) * work.spacing
 
 
 def driven(

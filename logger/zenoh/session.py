@@ -48,13 +48,15 @@ def _beside_others(machine: Machine, config: zenoh.Config, wanted: list[str], li
         connect = endpoints(config, "connect") + [one for one in wanted if one not in listen]
         config.insert_json5("connect/endpoints", json.dumps(connect))
         return (
-            f"{place}, by {' and '.join(there)}; {here}, and heard there too: give --machine with marks and "
-            "orders, since several answer"
+            f"{place}, by {' and '.join(there)}; {here}, and heard there too: several answer, so say with "
+            "--machine whom marks, orders and queries are for"
         )
     whose = f", by {' and '.join(there)}" if there else ""
     return (
-        f"{place}{whose}; {here}: marks and orders go to the other one, unless given with --endpoint "
-        f"{listen[0]}; if that is another run of this machine, end one: both publish the same keys"
+        f"{place}{whose}; {here}: marks, orders and queries go to the other one, unless given with "
+        "--endpoint "
+        f"{listen[0]} (mark, accept) or --connect (all others); if that is another run of this "
+        "machine, end one: both publish the same keys"
     )
 
 

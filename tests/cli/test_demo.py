@@ -69,6 +69,8 @@ def _keys_published(output: str) -> list[str]:
     "words",
     [
         ["--guidance", "--seconds", "5"],
+        ["--fast"],
+        ["--from-change", "--seconds", "5"],
         ["--seconds", "0"],
         ["--seconds", "nan"],
         ["--seed", "-1"],

@@ -76,6 +76,8 @@ def test_a_table_for_a_person(live: Live, answer: Answer) -> None:
     status, out, _ = answer(live.parts[0], "--verify")
     assert status == 0
     assert "C_af" in out and "frames in" in out and "to the byte" in out
+    last = out[out.index("frames in") :]
+    assert "recommended" in last and all(name in last for name in PARAMETERS) and "by " in last
 
 
 def test_out_and_its_second_time(live: Live, answer: Answer, tmp_path: Path) -> None:

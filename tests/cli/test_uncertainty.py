@@ -39,6 +39,9 @@ def test_what_the_machine_file_knows(answer: Answer) -> None:
     assert entry["draws"] == 100 and 0.0 < entry["unstable_share"] < 0.3
     status, out, _ = answer(MACHINE, *QUICK)
     assert status == 0 and "off_tracking" in out and "% of the rigs drawn are unstable" in out
+    told = " ".join(out.replace("│", " ").split())
+    assert "Use “known to”" in told and "C_af: cornering stiffness, tractor's front axle" in told
+    assert "off_tracking, how far" in told and "the first order is far off" in told
 
 
 def test_what_a_log_knows_is_more(answer: Answer, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from tilth.schemas.flow import PARAMETERS, Estimate, Event, ParameterEstimate, S
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.notices import Notice, NoticeCode
 from tilth.schemas.proto import tilth_pb2 as pb
-from tilth.schemas.reasons import Advice, AdviceKind, Combination, text_reason
+from tilth.schemas.reasons import Advice, AdviceKind, Code, Combination, Reason, text_reason
 from tilth.schemas.sentences import event_sentence, sentence
 
 ENCODING = "application/protobuf;tilth.SoilTireEstimate"
@@ -160,22 +160,33 @@ def test_the_rig_comes_whole() -> None:
         rig_of_message(wrong.SerializeToString(), "application/protobuf;tilth.Rig")
 
 
-STALE: tuple[tuple[float, float | None, float, str], ...] = (  # age of it, of the data, rule for data, words
-    (2.9, 10.0, 600.0, ""),
-    (3.1, 10.0, 600.0, "no estimate for 3.1 s"),
-    (math.inf, 10.0, 600.0, "how old it is cannot be known"),
-    (2.0, 598.5, 600.0, "data last informed it 600 s ago"),  # both ages count
-    (0.0, None, 600.0, "does not say when"),
-    (0.0, None, math.inf, ""),
-    (0.0, 1e9, math.inf, ""),
+STALE = (  # age of it, of the data, rule for data, words
+    (2.9, 10.0, 600.0, "", ""),
+    (3.1, 10.0, 600.0, "silence", "no estimate for over 3 s"),
+    (math.inf, 10.0, 600.0, "age_unknown", "how old it is cannot be known"),
+    (2.0, 598.5, 600.0, "old_data", "data last informed it over 600 s ago"),  # both ages count
+    (0.0, None, 600.0, "data_age_unknown", "does not say when"),
+    (0.0, None, math.inf, "", ""),
+    (0.0, 1e9, math.inf, "", ""),
 )
 
 
-@pytest.mark.parametrize(("age_s", "data_s", "allowed_s", "words"), STALE)
-def test_what_is_too_old(age_s: float, data_s: float | None, allowed_s: float, words: str) -> None:
+@pytest.mark.parametrize(("age_s", "data_s", "allowed_s", "code", "words"), STALE)
+def test_what_is_too_old(age_s: float, data_s: float | None, allowed_s: float, code: str, words: str) -> None:
     rule = Staleness(silence_s=3.0, data_s=allowed_s)
     latest = judge(with_parameter(2, age_s=data_s), age_s, rule)
-    assert words in latest.refusals[2] and latest.usable[2] is (words == "")
+    assert words in latest.refusals[2] and latest.usable[2] is (words == "") and latest.codes[2] == code
+    assert latest.data_ages_s[2] == (math.inf if data_s is None else data_s + age_s)
+    later = judge(with_parameter(2, age_s=data_s), age_s + 0.5, rule)  # ages grow, the reason stays
+    assert not code or later.judged[2] == latest.judged[2]
+
+
+def test_a_reason_of_the_daemon_keeps_its_code() -> None:
+    told = with_parameter(1, status=Status.UNESTIMATED, reason=Reason(Code.WIDE, numbers=(0.9,)))
+    latest = judge(estimate_of(encoded(told), ENCODING), 0.1, RULE)
+    assert latest.codes == ("", "wide", "", "", "", "") and latest.refusals[1].startswith("unestimated: ")
+    assert judge(None, math.inf, RULE).codes == ("nothing_heard",) * 6
+    assert judge(None, math.inf, RULE, "only a simulation").codes == ("simulation_only",) * 6
 
 
 def test_nothing_heard_is_of_no_use() -> None:
@@ -312,7 +323,7 @@ def test_what_may_not_be_used_goes_back_to_nominal_smoothly() -> None:
     back = [cautious.step(judge(estimate(scale=1.5), 4.0, RULE), 10.0 + 0.1 * i) for i in range(60)]
     assert back[0].theta == pytest.approx(reached, rel=0.011)
     assert back[-1].theta == pytest.approx(NOMINAL)
-    assert "no estimate for 4.0 s" in back[-1].notes[0]
+    assert "no estimate for over 3 s" in back[-1].notes[0]
 
 
 def test_uncertain_ones_are_not_followed() -> None:

@@ -88,18 +88,31 @@ def test_late_or_early_a_controller_has_the_last_value_the_model_and_the_changes
         assert client.refused == {}
 
 
-def documented(endpoint: str) -> str:
+def documented(endpoint: str, beside_demo: bool = False) -> str:
     """The program that the documentation begins with, hearing this daemon."""
     page = ROOT / "docs/client.md"
     lines = page.read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
-    assert "with Client" in lines
-    return "nominal = [0.0] * 6\n" + lines.replace("stale=", f'endpoint="{endpoint}", stale=')
+    assert "with Client" in lines and ", replay=True)" in lines
+    lines = lines.replace("    print(theta, latest.codes, latest.reason)\n", "")
+    lines = lines if beside_demo else lines.replace(", replay=True)", ")")
+    return lines.replace("stale=stale", f'endpoint="{endpoint}", stale=stale')
 
 
 def test_the_lines_of_the_documentation(publisher: Publisher) -> None:
     names: dict[str, Any] = {}
     exec(documented(publisher.endpoint), names)
-    assert (names["theta"] > 0).all() and names["A"].shape == (9, 9)
+    assert (names["theta"] != names["nominal"]).all() and names["A"].shape == (9, 9)
+
+
+def test_the_lines_of_the_documentation_as_they_stand_hear_a_simulation() -> None:
+    with Publisher(suffix="replay") as simulation:
+        names: dict[str, Any] = {}
+        exec(documented(simulation.endpoint, beside_demo=True), names)
+        assert names["theta"] == pytest.approx(THETA) and names["latest"].codes == ("",) * 6
+        exec(
+            documented(simulation.endpoint).replace("wait(10.0)", "wait(0.5)").partition("    A, B")[0], names
+        )
+        assert names["theta"] == pytest.approx(names["nominal"])
 
 
 PLAIN = """

@@ -106,6 +106,15 @@ def test_the_one_in_python_takes_what_is_absent_for_no_number(publisher: Publish
     assert result.returncode == 2 and "ENDPOINT" in result.stderr
 
 
+@pytest.mark.long  # it waits for three seconds
+def test_the_one_in_python_says_what_is_heard_instead(publisher: Publisher) -> None:
+    command = [sys.executable, str(PYTHON), publisher.endpoint, "tilth/another", "1"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as running:
+        assert running.stderr is not None
+        assert running.stderr.readline() == f"nothing from tilth/another; heard: tilth/{NAME}\n"
+        running.kill()
+
+
 @pytest.mark.parametrize("message", pb.DESCRIPTOR.message_types_by_name.values(), ids=lambda m: m.name)
 def test_each_number_that_may_be_absent_says_so_where_it_is_read_first(message: Descriptor) -> None:
     """In tilth.proto: at the head, and at the field where a controller would take it for a value."""

@@ -1,5 +1,6 @@
 """The demo of guidance: a loop closed over CAN and Zenoh."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 import zenoh
 
 from tilth.adaptive_guidance.__main__ import arguments
-from tilth.adaptive_guidance.demo import run_guidance, table
+from tilth.adaptive_guidance.demo import FROM_CHANGE, run_guidance, run_lockstep, table
 from tilth.adaptive_guidance.plan import Work
+from tilth.adaptive_guidance.study import middle
 from tilth.client.link import open_session
 from tilth.logger.display import NoDisplay
 from tilth.replay.readers.any_log import frames
@@ -58,6 +60,21 @@ def test_the_demo_closes_the_loop_over_can_and_zenoh_and_logs_what_was_commanded
     assert len(read) == guided.summary.recorded
     wishes = [frame for frame in read if frame.extended and split(frame.can_id).pgn == COMMAND]
     assert len(wishes) >= guided.commands["commands"]
+
+
+@pytest.mark.long
+def test_both_halves_are_driven_without_wires_for_a_small_computer(tmp_path: Path) -> None:
+    said: list[str] = []
+    work = replace(FROM_CHANGE, rows=2, length=40.0)
+    guided = run_lockstep(1, tmp_path / "new", said.append, work)
+    assert len(said) == 2 and guided.figure is not None and guided.figure.exists()
+    for path in (guided.fixed, guided.adapting):
+        assert path.after.any() and not path.after.all() and np.abs(path.error).max() < 0.5
+    assert table(guided).row_count == 2
+
+
+def test_the_demo_may_begin_a_row_before_the_soil_changes() -> None:
+    assert middle(FROM_CHANGE) == FROM_CHANGE.spacing / 2 and middle(Work(rows=6)) == 2.5 * Work().spacing
 
 
 def test_the_controller_asks_for_what_it_needs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,13 +48,35 @@ def test_all_channels_with_all_that_is_known(run: Run, tmp_path: Path) -> None:
         table = polars.read_parquet(tmp_path / "r" / f"{name}.parquet")
         rows = rows_of(run.table(topic))
         known = about["files"][f"{name}.parquet"]["columns"]
-        assert table.columns == list(known) == [column.name for column in rows.columns]
+        empty = about["files"][f"{name}.parquet"]["empty"]
+        assert table.columns == list(known) and known["of_run"]["kind"] == "text"
+        assert {*table.columns, *empty} == {"of_run", *(column.name for column in rows.columns)}
+        assert set(table["of_run"]) == {"r"}
+        assert not any(table[column].is_null().all() for column in table.columns)
         for column, values in zip(rows.columns, rows.values, strict=True):
-            if column.kind == "double":
+            if column.kind == "double" and column.name not in empty:
                 np.testing.assert_array_equal(table[column.name].to_numpy().astype(float), values)
         schema = pyarrow.parquet.read_schema(tmp_path / "r" / f"{name}.parquet")
         in_file = json.loads(schema.metadata[b"tilth"])
         assert in_file["machine"] == about["machine"] and in_file["columns"] == known
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv"])
+def test_no_column_is_empty_in_all_of_a_file(run: Run, tmp_path: Path, form: str) -> None:
+    """Of a span in which some are, though not in the whole run; on a clock too."""
+    for name, plan in (
+        ("span", ExportPlan(form, ("soil_tire", "status", "can"), None, 0.0, 0.5)),
+        ("clock", ExportPlan(form, choose(["pose", "status"], True), 100_000_000)),
+    ):
+        done = export(run, plan, tmp_path / name)
+        about = json.loads((tmp_path / name / "export.json").read_text())["files"]
+        for file in done.rows:
+            path = tmp_path / name / file
+            table = (
+                polars.read_parquet(path) if form == "parquet" else polars.read_csv(path, infer_schema=False)
+            )
+            assert [one for one in table.columns if table[one].is_null().all()] == []
+            assert not {*about[file]["empty"]} & {*table.columns}
 
 
 def test_a_span_and_a_clock(run: Run, tmp_path: Path) -> None:

@@ -58,4 +58,6 @@ def test_72_tests_of_right_models_fail_one_report_in_twenty_and_a_wrong_one_fail
 
 def test_an_undecided_test_counts_for_none() -> None:
     failed, counted = judged(rows_of([0.04, None]))
-    assert failed["output"] == "o0" and counted["outcome"] == "undecided"
+    assert failed["output"] == "o0" and counted["outcome"] == "not all"
+    (counted,) = judged(rows_of([0.9, None]))
+    assert counted["outcome"] == "undecided"

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tilth.analysis.sensitivity.uncertainty_page import causes, in_words, known_to
+from tilth.analysis.sensitivity.uncertainty_page import apart, causes, in_words, known_to
 
 PARAMETERS: Any = {"C_af": {"log_sd": 0.3}, "sigma_f": {"log_sd": 0.2}}
 
@@ -38,3 +38,14 @@ def test_causes_come_with_the_largest_first_and_small_ones_are_left_out() -> Non
 def test_what_must_be_known(factor: float | None, alone: dict[str, float | None], said: str) -> None:
     output: Any = {"wanted": {"half": 0.1, "factor": factor, "alone": alone}, "unit": "m"}
     assert said in in_words("the offset", output, PARAMETERS)
+
+
+@pytest.mark.parametrize(
+    ("half", "first_order", "far"),
+    [(0.19, 1.3, True), (1.3, 0.19, True), (0.19, 0.2, False), (None, 1.0, False), (0.2, None, False)],
+)
+def test_a_first_order_that_is_far_off_is_told(
+    half: float | None, first_order: float | None, far: bool
+) -> None:
+    output: Any = {"half": half, "first_order": first_order}
+    assert ("take “known to” alone" in apart({"r_t": output})) == far

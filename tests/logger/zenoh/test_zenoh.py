@@ -168,7 +168,7 @@ def test_two_machines_on_one_computer_are_both_heard_and_told_apart(
     second = ZenohSink(named(machine, "two"), answers=taking("two"))
     try:
         assert f"{endpoint} is taken by another program, by tilth/one;" in second.note
-        assert "--machine" in second.note
+        assert "--machine whom marks, orders and queries are for" in second.note
         assert main(["mark", "whose", "--endpoint", endpoint]) == 2
         assert "several daemons are heard: one, two; say with --machine" in capsys.readouterr().err
         for name in ("one", "two"):
@@ -187,7 +187,10 @@ def test_a_second_run_of_the_same_machine_stays_apart(machine: Machine) -> None:
     first, second = ZenohSink(machine), ZenohSink(machine)
     try:
         assert f"by {BASE}; listening on" in second.note and "end one" in second.note
-        assert f"--endpoint {second.endpoints[0]}" in second.note
+        assert (
+            f"queries go to the other one, unless given with --endpoint {second.endpoints[0]}" in second.note
+        )
+        assert "--connect (all others)" in second.note
         first.put("/soil_tire", b"first")
         second.put("/soil_tire", b"second")
         with session(first.endpoints) as other:
