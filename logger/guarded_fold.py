@@ -191,7 +191,10 @@ class GuardedFold:
             publications += step(self.state, frame)
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
-            publications += self.decided(self.state.latest_ns)
+            if self._due_ns is not None:
+                publications += self.decided(self.state.latest_ns)
+            if not publications:  # of most frames
+                return []
             encoded = [(publication, self._payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)
