@@ -24,6 +24,7 @@ from tilth.estimator.filters.likelihood import likelihood_at, search_of
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT
 from tilth.estimator.methods import pem
+from tilth.logger.fit_worker import make
 from tilth.logger.fitting import InPlace
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
@@ -157,7 +158,7 @@ def of_a_fit(machine: Machine, rows: list[Frame]) -> None:
         search = search_of(job.record, setup, job.mean, job.covariance)
         run, fit = (
             cpu_seconds(way)
-            for way in (partial(likelihood_at, search, job.mean), partial(pem.fit, machine, job))
+            for way in (partial(likelihood_at, search, job.mean), partial(make, machine, pem.METHOD, job))
         )
         print(
             f"fit of {len(job.record.ticks) * DT:.1f} s: {fit * 1e3:.0f} ms, {fit / run:.0f} runs of its "
