@@ -155,15 +155,17 @@ def step(state: State, frame: Frame) -> list[Publication]:
     out: list[Publication] = []
     state.segments.clear()
     state.frames += 1
-    jump_ns = log_time.take_stamp(state.time, frame)
-    frame = log_time.on_log_clock(state.time, frame)
-    if state.time.news:
-        _publish_news(state, state.time.news, out)
+    time, book = state.time, state.decoder.addresses
+    jump_ns = log_time.take_stamp(time, frame)
+    if time.offset_ns:
+        frame = log_time.on_log_clock(time, frame)
+    if time.news:
+        _publish_news(state, time.news, out)
     if jump_ns is None:  # a stray frame: only address claims are taken from it, no measurement
         now_ns = state.latest_ns
         state.decoder.measurements(replace(frame, t_ns=now_ns, rx_ns=now_ns))
         return out
-    if jump_ns < 0 or (jump_ns > 0 and state.time.misled):
+    if jump_ns < 0 or (jump_ns > 0 and time.misled):
         _clock_stepped(state, frame.t_ns, jump_ns, out)
     elif jump_ns >= log_time.LOG_TIME.silence_ns:
         silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
@@ -174,15 +176,15 @@ def step(state: State, frame: Frame) -> list[Publication]:
         _recall_addresses(state, frame, out)
     position_taken = False
     measurements = state.decoder.measurements(frame)
-    if mistaken := state.decoder.addresses.mistaken:
+    if mistaken := book.mistaken:
         aligner.forget(state.aligner, mistaken)
         mistaken.clear()
     for measurement in measurements:
         position_taken |= _take_measurement(state, frame.t_ns, measurement, out)
-    if state.decoder.addresses.unplaced:
+    if book.unplaced:
         _recognise(state, frame.t_ns, now_ns, measurements, out)
-    if state.decoder.addresses.news:
-        _publish_news(state, state.decoder.addresses.news, out)
+    if book.news:
+        _publish_news(state, book.news, out)
     due_ns = state.aligner.due_ns
     if due_ns and (position_taken or now_ns >= due_ns + aligner.ALIGNMENT.deadline_ns):
         for pose in poses(state.aligner, now_ns):

@@ -14,6 +14,7 @@ import inspect
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
+from functools import cache
 from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
 from typing import Any, Final, NamedTuple
 
@@ -131,8 +132,13 @@ def _project_function(value: Any) -> FunctionType | None:
     return inner if is_ours else None
 
 
-def _paths(code: CodeType) -> Iterator[tuple[str, ...]]:
+@cache  # kernels share most of what they call
+def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
     """The globals that the code reads, each with its chain of attributes: ("np", "linalg", "inv")."""
+    return tuple(_read(code))
+
+
+def _read(code: CodeType) -> Iterator[tuple[str, ...]]:
     path: tuple[str, ...] = ()
     for step in dis.get_instructions(code):
         if step.opname == "LOAD_GLOBAL":

@@ -6,13 +6,14 @@ so that a replay does alike.
 """
 
 import contextlib
+import math
 import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Final, Protocol
 
-from tilth.estimator.methods.fitted import alike
+from tilth.estimator.methods.fitted import FITTED, apart
 from tilth.logger.child import packed, unpacked, words_of
 from tilth.logger.fit_worker import Answer, as_text, job_sha256, make, of_text
 from tilth.logger.job import STOPPED, Job, JobEnded
@@ -22,6 +23,7 @@ from tilth.logger.priority import FITS
 from tilth.schemas.flow import EventKind, FitOutcome
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
+from tilth.schemas.tolerances import OF_SD
 
 UNDECIDED: Final = object()
 LATE: Final = object()
@@ -293,10 +295,9 @@ class ReplayedFits:
             of_log = of_text(method, text)
         except ValueError:  # of another version
             return made
-        if not (hasattr(made, "covariance") and alike(made, of_log)):
-            return made
-        self.ties += 1
-        return of_log
+        far = apart(made, of_log) if hasattr(made, "covariance") else math.inf
+        self.ties += OF_SD < far <= FITTED.ends
+        return of_log if far <= FITTED.ends else made
 
     def made(self, method: str, job: Any) -> Any:
         self._begin(method, job)

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from tilth.estimator.diagnosis import diagnosis, watch
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import (
@@ -79,6 +81,8 @@ class GuardedFold:
         fitter: makes the fits that are asked for; None: at once, here. encoded: False where nobody reads the
         bytes of what it gives; they are empty then.
         """
+        # For good: a sum that is split among threads is rounded otherwise, and waiting threads take a core.
+        threadpool_limits(1)
         self._payload: Callable[[Publication], bytes] = payload if encoded else lambda publication: b""
         self.state: State = initial(machine) if state_json is None else restore(machine, state_json)
         self.faults = 0
@@ -191,7 +195,10 @@ class GuardedFold:
             publications += step(self.state, frame)
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
-            publications += self.decided(self.state.latest_ns)
+            if self._due_ns is not None:
+                publications += self.decided(self.state.latest_ns)
+            if not publications:  # of most frames
+                return []
             encoded = [(publication, self._payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)

@@ -258,7 +258,8 @@ class _Run:
         if self._outputs.writer is not None:
             self._outputs.writer.frame(frame)
         self._waited += not self._fold.ready
-        self._put(self._fold.take(frame))
+        if given := self._fold.take(frame):
+            self._put(given)
 
     def _fit(self, record: Logged) -> None:
         """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""

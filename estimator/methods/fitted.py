@@ -1,6 +1,7 @@
 """What methods have in common whose fits are computed outside the fold (pem, rows): from the request to the
 adoption, and how old what they tell is."""
 
+import math
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Annotated, Final, Protocol
 
@@ -55,13 +56,15 @@ def is_tie(*pairs: tuple[float, float]) -> bool:
     return any(abs(value - limit) <= FITTED.near * limit for value, limit in pairs)
 
 
-def alike(one: Fit, other: Fit) -> bool:
-    """Whether both may be the result of one job, computed on two kinds of processor."""
+def apart(one: Fit, other: Fit) -> float:
+    """By how many sds results of one job differ that two kinds of processor have computed; infinitely where
+    they decide otherwise, but FITTED.ends where that is a tie."""
     if (one.changed, one.refused) != (other.changed, other.refused):
-        return one.tie or other.tie
+        return FITTED.ends if one.tie or other.tie else math.inf
     sds, others = (np.sqrt(np.diag(fit.covariance)) for fit in (one, other))
-    apart = np.abs(one.mean - other.mean) <= FITTED.ends * sds
-    return bool(np.all(apart) and np.all(np.abs(sds - others) <= FITTED.ends * sds))
+    known = np.where(sds > 0.0, sds, 1.0)
+    far = np.maximum(np.abs(one.mean - other.mean), np.abs(sds - others)) / known
+    return float(np.max(far)) if np.all(np.isfinite(far)) else math.inf
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.state_json import NOT_STORED
 from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
@@ -51,6 +52,8 @@ class Lag:
     first_rate: float = 0.0  # where the interval began
     poses: int = -1  # since the interval began; -1: none has begun
     smoothed: bool = False
+    found: tuple[float, float] | None = field(default=None, metadata=NOT_STORED)
+    """(tau, its sd), s, of the present sums, where it has been asked for."""
 
 
 def regress(lag: Lag, change: float, seconds: float, sd_heading: float) -> None:
@@ -64,10 +67,17 @@ def regress(lag: Lag, change: float, seconds: float, sd_heading: float) -> None:
     lag.squares += excess**2
     lag.stated_variance += 2 * sd_heading**2
     lag.intervals += 1
+    lag.found = None
 
 
 def time_constant(lag: Lag) -> tuple[float, float]:
-    """(tau, its sd), s, of a turn rate."""
+    """(tau, its sd), s, of a turn rate: asked at each pose, it changes with each interval."""
+    if lag.found is None:
+        lag.found = _time_constant(lag)
+    return lag.found
+
+
+def _time_constant(lag: Lag) -> tuple[float, float]:
     weights = np.array([0.0, _variance(lag, None) / TURN_RATE_LAG.bias_sd**2])
     information = lag.information + np.diag(weights) + 1e-9 * np.eye(2)
     found: Array = np.asarray(np.linalg.solve(information, lag.vector), np.float64)

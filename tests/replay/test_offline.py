@@ -63,6 +63,12 @@ def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
     assert output == []
 
 
+def test_what_nobody_reads_changes_no_result(live: Live) -> None:
+    file = MachineFile(MACHINE, MACHINE_TEXT)
+    verified = replay(live.parts, file, outputs=ReplayOutputs(comparison=Comparison()))
+    assert replay(live.parts, file) == verified
+
+
 @pytest.mark.parametrize("part", [0, 1, 2])
 def test_a_part_replays_alone(live: Live, part: int) -> None:
     comparison = Comparison()
