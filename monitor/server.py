@@ -58,6 +58,8 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/", "index.html", "text/html"),
     ("/page.css", "page.css", "text/css"),
     ("/main.js", "main.js", "text/javascript"),
+    ("/language.js", "language.js", "text/javascript"),
+    ("/german.js", "german.js", "text/javascript"),
     ("/marks.js", "marks.js", "text/javascript"),
     ("/moved.js", "moved.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),

@@ -10,7 +10,7 @@ from tilth.schemas.rule_of_thumb import (
     DRAWING,
     IMPLEMENT_SHARE,
     TRACTOR_SHARE,
-    Lengths,
+    TapedLengths,
     Weights,
     by_scale,
     yaw_inertia,
@@ -31,7 +31,7 @@ def test_a_scale_and_a_tape_give_the_rig_back(
     front, rear, _ = axle_loads(a, b, b + behind, d, e, mass_t, 1e-9, G)
     *_, axle = axle_loads(a, b, b + behind, d, e, mass_t, mass_i, G)
     weights = Weights(front / G, rear / G, axle / G, mass_i - axle / G)
-    found = by_scale(weights, Lengths(a + b, behind, d + e))
+    found = by_scale(weights, TapedLengths(a + b, behind, d + e))
     wanted = {
         "tractor": {"a": a, "b": b, "c": b + behind, "mass": mass_t},
         "implement": {"d": d, "e": e, "mass": mass_i},
