@@ -124,7 +124,7 @@ export class Traces {
       width: Math.max(200, frame.clientWidth), height: HEIGHT,
       legend: { show: false }, cursor: { show: false },
       scales: { x: { time: true, range: () => this.#times() }, y: { range: (u, low, high) => this.#values(i, low, high) } },
-      axes: [{ ...axis, space: 50, size: 28, values: (u, at) => at.map((t) => clock(t * 1e9).slice(0, u.scales.x.max - u.scales.x.min > 180 ? 5 : 8)) }, { ...axis, size: 48 }],
+      axes: [{ ...axis, space: 64, size: 28, values: (u, at) => at.map((t) => clock(t * 1e9).slice(0, u.scales.x.max - u.scales.x.min > 180 ? 5 : 8)) }, { ...axis, size: 48 }],
       series: [
         {},
         { stroke: "transparent", points: { show: false } },

@@ -1,8 +1,11 @@
 """What follows from scale and tape, beside rigs whose numbers are known."""
 
+from collections.abc import Mapping
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.machine import Implement, Tractor
@@ -20,7 +23,7 @@ from tilth.simulator.fleet import drawn
 
 LONG = st.floats(1.0, 6.0)
 G = 9.81
-SECTIONS = {"tractor": Tractor, "implement": Implement}
+SECTIONS: Mapping[str, type[BaseModel]] = {"tractor": Tractor, "implement": Implement}
 
 
 @given(a=LONG, b=LONG, behind=st.floats(0.3, 1.5), d=LONG, e=st.floats(0.05, 0.9), tons=LONG)
