@@ -63,9 +63,7 @@ def response_section(response: ResponseFacts | None) -> ReportSection | None:
     speed = f" at {kmh(driven_mps)}" if driven_mps else ""
     for output in data["outputs"]:
         parts += [_figure(data, output, speed), _table(data, output)]
-    parts += [
-        ReportText(f"{one['name']}: {one['sentence']}") for one in response["curves"] if one.get("sentence")
-    ]
+    parts += [ReportText(one["sentence"]) for one in response["curves"] if one.get("sentence")]
     return ReportSection("response", title, tuple(parts))
 
 
