@@ -24,7 +24,7 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
 from tilth.schemas.readable import reason_of
-from tilth.schemas.rule_of_thumb import Lengths, Weights, by_scale
+from tilth.schemas.rule_of_thumb import TapedLengths, Weights, by_scale
 from tilth.schemas.sentences import notice_sentence
 
 _say = partial(say, "discover")
@@ -101,8 +101,8 @@ def _weights(text: str) -> Weights:
     return Weights(*_numbers(text, Weights._fields))
 
 
-def _lengths(text: str) -> Lengths:
-    return Lengths(*_numbers(text, Lengths._fields))
+def _lengths(text: str) -> TapedLengths:
+    return TapedLengths(*_numbers(text, TapedLengths._fields))
 
 
 def _numbers(text: str, names: Sequence[str]) -> list[float]:

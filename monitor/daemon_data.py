@@ -14,7 +14,8 @@ import zenoh
 from google.protobuf.message import Message
 
 from tilth.client.link import Alive, alive_of, base_key, open_session, tokens
-from tilth.client.received import LARGEST, Refused, answered_age, estimate_of, parse, rig_of_message
+from tilth.client.received import LARGEST, Refused, answered_age, parse, rig_of_message
+from tilth.monitor.in_german import add_german
 from tilth.monitor.json_safe import plain
 from tilth.schemas.invocation import command
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -245,11 +246,9 @@ class DaemonData:
 
     def _plain(self, kind: str, data: bytes, encoding: str) -> dict[str, Any] | None:
         try:
-            if kind == "soil_tire":
-                estimate_of(data, encoding)  # what is no estimate is refused as a controller would
-            elif kind == "rig":
+            if kind == "rig":
                 rig_of_message(data, encoding)
-            return plain(parse(MESSAGES[kind], data, encoding))
+            return add_german(kind, plain(parse(MESSAGES[kind], data, encoding)), data, encoding)
         except Refused as refusal:
             with self._lock:
                 self._count(f"{kind}: {refusal}")

@@ -6,6 +6,7 @@ from typing import Final
 
 from tilth.client.received import Refused, estimate_of
 from tilth.monitor.daemon_data import MESSAGES, DaemonData
+from tilth.monitor.in_german import add_german
 from tilth.monitor.json_safe import plain
 from tilth.monitor.traces import EstimateRow, PoseRow, Traces, estimate_row, pose_row
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -44,7 +45,9 @@ def ask_overview(daemon_data: DaemonData) -> Overview:
         try:
             message = MESSAGES[row.kind].FromString(row.data)
             if row.kind == "event":
-                found.events.append((row.at_s, plain(message)))
+                found.events.append(
+                    (row.at_s, add_german("event", plain(message), row.data, _ENCODING.format("Event")))
+                )
                 continue
             if row.kind == "soil_tire":
                 estimate_of(row.data, _ENCODING.format("SoilTireEstimate"))

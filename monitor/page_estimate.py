@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.reasons import AdviceKind
-from tilth.schemas.sentences import MANOEUVRES, soil_words
+from tilth.schemas.sentences import MANOEUVRES, german, soil_words
 from tilth.schemas.spread import WITHIN, even
 
 Fields = dict[str, Any]
@@ -25,12 +25,16 @@ def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
     95 %, status and reason; of each group of tyres a word; what to drive; what is withdrawn and why."""
     values, within, statuses = row(estimate)
     priors = {prior["name"]: prior["value"] for prior in (rig or {}).get("priors", ())}
+    reasons = [one["reason"] for one in estimate["parameters"]]
+    in_german = [one.get("reason_de", one["reason"]) for one in estimate["parameters"]]
+    invalid = Status.INVALID in statuses
     return {
         "t": estimate["t_ns"] * 1e-9,
         "value": values,
         "within": within,
         "status": statuses,
-        "why": [one["reason"] for one in estimate["parameters"]],
+        "why": reasons,
+        "why_de": in_german,
         "known": [_share(sd) for sd in estimate["bound"]],
         "determined": estimate["determined"],
         "ground": [
@@ -38,8 +42,12 @@ def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
             for i in range(len(GROUPS))
         ],
         "place": _of_place(estimate.get("of_place")),
-        "advised": "" if Status.INVALID in statuses else advised(estimate.get("advised")),
-        "withdrawn": withdrawn(statuses, [one["reason"] for one in estimate["parameters"]]),
+        "advised": "" if invalid else advised(estimate.get("advised")),
+        "advised_de": "" if invalid else advised_in_german(estimate.get("advised")),
+        "withdrawn": withdrawn(statuses, reasons),
+        "withdrawn_de": withdrawn(
+            statuses, in_german, "Werte zurückgezogen", "der Rekorder sagt nicht warum"
+        ),
     }
 
 
@@ -53,7 +61,11 @@ def _of_place(place: Fields | None) -> Fields | None:
         f"Of this place: {passing} by this pass, {before} by passes before, {file} by the machine file. "
         f"Soil is alike over {place['radius_m']:.0f} m."
     )
-    return {"shares": shares, "words": words}
+    in_german = (
+        f"Von diesem Ort: {passing} aus dieser Überfahrt, {before} aus früheren, {file} aus der Datei. "
+        f"Der Boden gleicht sich auf {place['radius_m']:.0f} m."
+    )
+    return {"shares": shares, "words": words, "words_de": in_german}
 
 
 def row(estimate: Fields) -> tuple[list[float | None], list[float | None], list[int]]:
@@ -106,17 +118,51 @@ def advised(advice: Fields | None) -> str:
     return told
 
 
+def advised_in_german(advice: Fields | None) -> str:
+    """The same in German."""
+    advice = advice or {"kind": ""}
+    turn = advice.get("turn_tells", "")
+    match advice["kind"]:
+        case AdviceKind.TOO_SLOW:
+            return f"Schneller als {3.6 * advice['speed']:.1f} km/h fahren: darunter ist nichts zu lernen."
+        case AdviceKind.NOT_AT_THIS_SPEED:
+            return "Bei dieser Geschwindigkeit sagt kein sanftes Lenken mehr."
+        case AdviceKind.NOTHING_HELPS:
+            if turn:
+                return f"Weiterfahren: die nächste Wende sagt mehr über die Reifen {_german_tyres(turn)}."
+            return "Weiterfahren: bei dieser Geschwindigkeit sagt kein Lenken viel mehr."
+    if advice.get("manoeuvre") not in german.DRIVEN:
+        return ""
+    what = german.DRIVEN[advice["manoeuvre"]].format(seconds=advice["seconds"], degrees=advice["degrees"])
+    told = f"Wo Platz ist: {what}. Das sagt mehr über die Reifen {_german_tyres(*advice['parameters'])}."
+    return told + (f" Die nächste Wende sagt mehr über die Reifen {_german_tyres(turn)}." if turn else "")
+
+
+def _groups(names: Sequence[str]) -> list[str]:
+    return [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in names]
+
+
 def _tyres(*names: str) -> str:
-    return f"{_and([GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in names])} tyres"
+    return f"{_and(_groups(names))} tyres"
 
 
-def withdrawn(statuses: Sequence[int], reasons: Sequence[str]) -> list[str]:
+def _german_tyres(*names: str) -> str:
+    where = {"front": "vorn", "rear": "hinten", "implement": "am Gerät"}
+    return _and([where[group] for group in _groups(names)], "und")
+
+
+def withdrawn(
+    statuses: Sequence[int],
+    reasons: Sequence[str],
+    said: str = "Numbers withdrawn",
+    none: str = "the daemon gives no reason",
+) -> list[str]:
     """A sentence for each reason why numbers are invalid."""
     names: dict[str, list[str]] = {}
     for name, status, reason in zip(PARAMETERS, statuses, reasons, strict=True):
         if status == Status.INVALID:
-            names.setdefault(reason or "the daemon gives no reason", []).append(name)
-    return [f"Numbers withdrawn{_which(of)}: {reason}" for reason, of in names.items()]
+            names.setdefault(reason or none, []).append(name)
+    return [f"{said}{_which(of)}: {reason}" for reason, of in names.items()]
 
 
 def _which(names: Sequence[str]) -> str:
@@ -135,6 +181,6 @@ def _share(log_sd: float | None) -> str | None:
     return even(100 * WITHIN * log_sd)
 
 
-def _and(groups: Sequence[str]) -> str:
+def _and(groups: Sequence[str], word: str = "and") -> str:
     each = list(dict.fromkeys(groups))
-    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} and {each[-1]}"
+    return each[0] if len(each) == 1 else f"{', '.join(each[:-1])} {word} {each[-1]}"

@@ -20,16 +20,15 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tilth.client.received import Refused
-from tilth.monitor.addresses import is_loopback
 from tilth.monitor.daemon_data import DaemonData, MarkAnswer
-from tilth.monitor.invitation import ASK, COOKIE, KEY, Invitation
-from tilth.monitor.origin import Refusal, refusal
+from tilth.monitor.guard import Guard
+from tilth.monitor.invitation import Invitation
 from tilth.monitor.player_page import order_of, places_of, runs_of
 from tilth.monitor.view import Turn
 from tilth.schemas.limiter import Limiter, of_address
@@ -41,23 +40,14 @@ VIEWERS: Final = 16  # pages of other computers, and as many of this one
 ASKED: Final = 16  # requests that wait for a daemon, of other computers; they have threads of their own
 EACH: Final = 8  # of either, of one computer
 MARK_BYTES: Final = 1024  # as the daemon allows
-POLICY: Final = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
 REPORT_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 """Of a report, which a daemon sends: its own styles and pictures, in an origin of its own, and no script."""
-HEADERS: Final = (
-    ("content-security-policy", POLICY),
-    ("x-content-type-options", "nosniff"),
-    ("referrer-policy", "no-referrer"),
-    ("cross-origin-opener-policy", "same-origin"),
-    ("cache-control", "no-cache"),
-)
 FILES: Final = (  # path, file below monitor/page, type
     ("/", "index.html", "text/html"),
     ("/page.css", "page.css", "text/css"),
     ("/main.js", "main.js", "text/javascript"),
+    ("/language.js", "language.js", "text/javascript"),
+    ("/german.js", "german.js", "text/javascript"),
     ("/marks.js", "marks.js", "text/javascript"),
     ("/moved.js", "moved.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),
@@ -173,56 +163,6 @@ async def _send(socket: WebSocket, queue: "asyncio.Queue[Said]") -> None:
 
 def _client_of(connection: HTTPConnection) -> str:
     return of_address(connection.client.host if connection.client else "")
-
-
-class Guard:
-    """Adds the headers to every answer; hears no page of another origin, no computer that is not invited."""
-
-    def __init__(self, app: ASGIApp, invitation: Invitation | None = None) -> None:
-        """invitation: None where all that reach this computer may look."""
-        self._app, self._invitation = app, invitation
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        async def headed(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                own = {name for name, _ in message["headers"]}
-                message["headers"] += [
-                    (name.encode(), value.encode()) for name, value in HEADERS if name.encode() not in own
-                ]
-            await send(message)
-
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        connection = HTTPConnection(scope)
-        refused = refusal(connection.headers.getlist("host"), connection.headers.getlist("origin"))
-        answer = self._of_uninvited(connection) if refused is None else _denied(refused)
-        if answer is None:
-            await self._app(scope, receive, headed)
-        elif scope["type"] == "websocket":
-            await WebSocket(scope, receive, send).send_denial_response(answer)
-        else:
-            await answer(scope, receive, headed)
-
-    def _of_uninvited(self, connection: HTTPConnection) -> Response | None:
-        """What another computer is answered that is not let in, or only now; None for all others."""
-        invitation, client, here = self._invitation, connection.client, connection.scope.get("server")
-        if invitation is None or client is None or is_loopback(client.host.removeprefix("::ffff:")):
-            return None
-        if here is not None and client.host == here[0]:  # this computer, by its address in a network
-            return None
-        if invitation.knows(connection.cookies.get(COOKIE, "")):
-            return None
-        guest = connection.url.path == "/" and invitation.take(connection.query_params.get(KEY, ""))
-        if not guest:
-            return _denied(Refusal(403, ASK))
-        answer = RedirectResponse("/", 303)
-        answer.set_cookie(COOKIE, guest, httponly=True, samesite="lax")
-        return answer
-
-
-def _denied(refused: Refusal) -> Response:
-    return PlainTextResponse(f"{refused.why}\n", refused.status)
 
 
 def application(daemon_data: DaemonData, view: Shown, invitation: Invitation | None = None) -> ASGIApp:

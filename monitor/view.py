@@ -8,7 +8,7 @@ Both have the same fields; those of a kind of message are replaced by a later on
 import json
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, NamedTuple
@@ -20,12 +20,34 @@ from tilth.monitor.overview import Overview, ask_overview
 from tilth.monitor.page_estimate import page_estimate, priors
 from tilth.monitor.traces import Traces, estimate_row, pose_quality, pose_row
 from tilth.schemas.invocation import command
+from tilth.schemas.sentences.german import GERMAN
+from tilth.schemas.sentences.reasons import ENGLISH
 
 EVENTS: Final = 100  # shown
 SILENT_S: Final = 3.0  # of a daemon that lives: status and estimate come each second
 FIRST_DRIVE: Final = "first_drive"  # what is told of a recorded drive that is shown until a daemon is ready
 OVER: Final = "over"  # what is told of a demo that has ended
 WAIT_S: Final = 10.0  # a daemon that starts beside the page may take so long to its first word
+NOTES: Final[Mapping[str, Mapping[str, str]]] = {
+    ENGLISH: {
+        "none": "No daemon is heard at {at}: start `{run}` or `{demo}`, or look at --connect.",
+        "player": "The player of recorded runs does not answer: start it again.",
+        "gone": "The daemon of {name} does not answer at {at}. Waiting for it.",
+        "silent": "The daemon of {name} is there but says nothing: the network, or the daemon, stalls.",
+        "versions": "The daemon is version {daemon}, this page {page}: what only one knows is not shown.",
+        "others": "Also here: {names}. Choose with --machine.",
+        "refused": "{count} messages could not be used, most of them: {why}.",
+    },
+    GERMAN: {
+        "none": "An {at} ist kein Rekorder zu hören: `{run}` oder `{demo}` starten, oder --connect ansehen.",
+        "player": "Der Abspieler antwortet nicht: neu starten.",
+        "gone": "Der Rekorder von {name} antwortet an {at} nicht. Es wird auf ihn gewartet.",
+        "silent": "Der Rekorder von {name} ist da, sagt aber nichts: das Netz oder der Rekorder stockt.",
+        "versions": "Der Rekorder hat Version {daemon}, diese Seite {page}: was nur einer kennt, fehlt hier.",
+        "others": "Auch hier: {names}. Mit --machine auswählen.",
+        "refused": "{count} Nachrichten waren nicht zu gebrauchen, die meisten: {why}.",
+    },
+}
 Fields = dict[str, Any]
 
 
@@ -189,7 +211,8 @@ class View:
             "alive": alive,
             "waiting": self._waiting(now_s),
             "age_s": self._ages(now_s),
-            "notes": self._notes(now_s, alive, names),
+            "notes": self._notes(now_s, alive, names, NOTES[ENGLISH]),
+            "notes_de": self._notes(now_s, alive, names, NOTES[GERMAN]),
         }
 
     def _ages(self, now_s: float) -> Fields:
@@ -208,36 +231,33 @@ class View:
             return False
         return "status" not in self._received_s and (self._began_s is None or now_s - self._began_s < WAIT_S)
 
-    def _notes(self, now_s: float, alive: bool, names: list[str]) -> list[str]:
-        """What is wrong between the daemon and here, worst first, in sentences that say what to do."""
+    def _notes(self, now_s: float, alive: bool, names: list[str], words: Mapping[str, str]) -> list[str]:
+        """What is wrong between the daemon and here, worst first, in sentences that say what to do. words: of
+        NOTES."""
         followed = self._daemon_data.followed
         if self._waiting(now_s) or OVER in self._messages:
             return []
         if followed is None:
-            where = f"No daemon is heard at {self._endpoint}"
-            return [f"{where}: start `{command('run')}` or `{command('demo')}`, or look at --connect."]
+            return [words["none"].format(at=self._endpoint, run=command("run"), demo=command("demo"))]
         name = followed.machine
         found: list[str] = []
         if "player" in self._messages:
-            return [] if alive else ["The player of recorded runs does not answer: start it again."]
+            return [] if alive else [words["player"]]
         age_s = min((now_s - received_s for received_s in self._received_s.values()), default=math.inf)
         if not alive:
-            found.append(f"The daemon of {name} does not answer at {self._endpoint}. Waiting for it.")
+            found.append(words["gone"].format(name=name, at=self._endpoint))
         elif age_s > SILENT_S:
-            found.append(
-                f"The daemon of {name} is there but says nothing: the network, or the daemon, stalls."
-            )
+            found.append(words["silent"].format(name=name))
         daemon_version = self._messages.get("status", {}).get("version", "")
         if daemon_version and daemon_version != self._version:
-            versions = f"The daemon is version {daemon_version}, this page {self._version}"
-            found.append(f"{versions}: what only one of them knows is not shown.")
+            found.append(words["versions"].format(daemon=daemon_version, page=self._version))
         others = [other for other in names if other != name]
         if others:
-            found.append(f"Also here: {', '.join(others)[:LONGEST_TEXT]}. Choose with --machine.")
+            found.append(words["others"].format(names=", ".join(others)[:LONGEST_TEXT]))
         refused = self._daemon_data.refused()
         if refused:
             count, (why, _) = sum(refused.values()), max(refused.items(), key=lambda item: item[1])
-            found.append(f"{count} messages could not be used, most of them: {why}.")
+            found.append(words["refused"].format(count=count, why=why))
         return found
 
 

@@ -34,7 +34,7 @@ class Weights(NamedTuple):
     tongue: float
 
 
-class Lengths(NamedTuple):
+class TapedLengths(NamedTuple):
     """By tape, m."""
 
     wheelbase: float
@@ -42,7 +42,7 @@ class Lengths(NamedTuple):
     drawbar: float  # from the hitch to the implement's axle
 
 
-def by_scale(weights: Weights, lengths: Lengths) -> Mapping[str, Mapping[str, Quantity]]:
+def by_scale(weights: Weights, lengths: TapedLengths) -> Mapping[str, Mapping[str, Quantity]]:
     """Keys of [tractor] and of [implement] that follow, with sds."""
     mass_t, mass_i = weights.front + weights.rear, weights.axle + weights.tongue
     a = lengths.wheelbase * weights.rear / mass_t

@@ -2,6 +2,7 @@
 
 import { Calibration } from "./calibration.js";
 import { Experiment } from "./experiment.js";
+import { prepareSwitch, said as inLanguage, t, translatePage, word } from "./language.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
 import { Moved } from "./moved.js";
@@ -19,7 +20,10 @@ const ANEW_MS = 5000; // then another connection is tried: this one may be dead 
 const EVENTS = 100;
 const QUIET_EVENTS = new Set(["heartbeat"]);
 const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", "between soft and usual": "◒", "between usual and firm": "◓", "known roughly": "○", withdrawn: "✘" };
+const TECHNICAL = new Set(["addresses", "bus", "clock", "coarse_stamps", "compiled", "disagreement", "fit", "other_clock", "other_time", "positions_repeated", "positions_slow", "stored_state", "warm_start", "zenoh"]);
 const byId = (id) => document.getElementById(id);
+translatePage();
+prepareSwitch(byId("language"));
 
 const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
@@ -86,14 +90,14 @@ function show() {
   runs.show(chosen, heard.machine);
   over.show(heard.over);
   report.show(heard.report, Boolean(reached() && heard.alive), Boolean(heard.player));
-  tiles.show(status, live("status"), time(age("status")), heard.player?.run ? "? not in the log" : "? not heard");
+  tiles.show(status, live("status"), time(age("status")), word(heard.player?.run ? "? not in the log" : "? not heard"));
   map.setOld(!live("pose"));
   experiment.show(heard.experiment, live("experiment"));
   showCalibration();
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");
   byId("simulated").hidden = !heard.simulated;
-  put(byId("simulated"), heard.first_drive ? "recorded simulated drive" : heard.player?.run ? `replay of ${heard.player.run}` : heard.player ? "replay" : "simulation");
+  put(byId("simulated"), heard.first_drive ? word("recorded simulated drive") : heard.player?.run ? t`replay of ${heard.player.run}` : heard.player ? word("replay") : word("simulation"));
   const marks = document.querySelector(".marks");
   marks.hidden = Boolean(heard.player || heard.over);
   marks.disabled = Boolean(reached() && !heard.alive);
@@ -104,37 +108,38 @@ function showAges() {
   for (const part of document.querySelectorAll("[data-live]")) {
     const kind = part.dataset.live, then = age(kind), old = known(then) && !live(kind) && !heard.over;
     part.toggleAttribute("data-old", old);
-    for (const place of part.querySelectorAll(".age")) put(place, old ? `${time(then)} old` : "");
+    for (const place of part.querySelectorAll(".age")) put(place, old ? t`${time(then)} old` : "");
   }
 }
 
 function showRun(status) {
-  const ago = known(age("status")) ? `for ${time(age("status"))}` : "";
-  let [word, state, beside] = ["NOT RECORDING", "bad", known(status.uptime_s) ? duration(status.uptime_s) : ""];
-  if (connected === undefined) [word, state, beside] = ["WAITING", "wait", ""];
-  else if (!reached()) [word, beside] = ["NO CONNECTION", ago];
-  else if (heard.over) [word, state, beside] = ["DEMO OVER", "wait", ""];
-  else if (heard.first_drive) [word, state, beside] = ["RECORDED DRIVE", "wait", ""];
-  else if (heard.player && heard.alive) [word, state, beside] = ["REPLAY", "wait", playing(heard.player)];
-  else if (heard.waiting) [word, state, beside] = ["WAITING", "wait", "for the daemon"];
-  else if (!ago && !heard.alive) [word, beside] = ["NO DAEMON", ""];
-  else if (!live("status")) [word, beside] = [heard.alive ? "SILENT" : "DAEMON GONE", ago];
-  else if (status.resting) [word, state] = ["RESTING", "warn"];
-  else if (status.recording) [word, state] = ["● RECORDING", "good"];
-  put(byId("run-word"), word);
+  const ago = known(age("status")) ? t`for ${time(age("status"))}` : "";
+  let [told, state, beside] = ["NOT RECORDING", "bad", known(status.uptime_s) ? duration(status.uptime_s) : ""];
+  if (connected === undefined) [told, state, beside] = ["WAITING", "wait", ""];
+  else if (!reached()) [told, beside] = ["NO CONNECTION", ago];
+  else if (heard.over) [told, state, beside] = ["DEMO OVER", "wait", ""];
+  else if (heard.first_drive) [told, state, beside] = ["RECORDED DRIVE", "wait", ""];
+  else if (heard.player && heard.alive) [told, state, beside] = ["REPLAY", "wait", playing(heard.player)];
+  else if (heard.waiting) [told, state, beside] = ["WAITING", "wait", word("for the daemon")];
+  else if (!ago && !heard.alive) [told, beside] = ["NO DAEMON", ""];
+  else if (!live("status")) [told, beside] = [heard.alive ? "SILENT" : "DAEMON GONE", ago];
+  else if (status.resting) [told, state] = ["RESTING", "warn"];
+  else if (status.recording) [told, state] = ["● RECORDING", "good"];
+  const inWords = word(told);
+  put(byId("run-word"), inWords);
   put(byId("run-time"), beside);
   byId("run").dataset.state = state;
-  document.title = `${heard.machine || "Tilth"}${state === "bad" ? ` – ${word}` : ""}`;
+  document.title = `${heard.machine || "Tilth"}${state === "bad" ? ` – ${inWords}` : ""}`;
 }
 
-const playing = ({ state, rate }) => (state === "playing" ? `${rate} ×` : state === "idle" ? "choose a run" : state);
+const playing = ({ state, rate }) => (state === "playing" ? `${rate} ×` : word(state === "idle" ? "choose a run" : state));
 
 function showProblems(status) {
   const lost = connected !== undefined && !reached();
   const gone = gaveWay
-    ? "Too many pages are open, and another one has taken this one's place. Touch the page to go on here."
-    : "The page's own server does not answer: is `tilth monitor` running? Trying again.";
-  const lines = lost ? [gone] : [...heard.notes];
+    ? word("Too many pages are open, and another one has taken this one's place. Touch the page to go on here.")
+    : word("The page's own server does not answer: is `tilth monitor` running? Trying again.");
+  const lines = lost ? [gone] : [...(inLanguage(heard, "notes") ?? [])];
   if (live("status")) lines.push(...(status.problems ?? []).map(capital));
   const box = byId("problems");
   box.dataset.state = live("status") && status.recording ? "warn" : "bad";
@@ -151,7 +156,7 @@ function putLines(box, lines) {
 function showPreparing(status) {
   const busy = live("status") && status.preparing;
   const first = heard.first_drive && reached();
-  const text = first ? firstDrive(heard.first_drive) : busy ? preparing(status, age("status")) : reached() && heard.waiting ? "Waiting for the daemon: it may just have been started." : "";
+  const text = first ? firstDrive(heard.first_drive) : busy ? preparing(status, age("status")) : reached() && heard.waiting ? word("Waiting for the daemon: it may just have been started.") : "";
   put(byId("preparing"), text);
   byId("preparing").hidden = !text;
 }
@@ -168,7 +173,7 @@ function showFacts(status) {
   const ill = buses.find((bus) => bus.state !== "open");
   const loads = buses.map((bus) => (known(bus.load) ? `${Math.round(100 * bus.load)} %` : `${Math.round(bus.frames_per_s)}/s`));
   const busy = buses.some((bus) => bus.load > 0.8);
-  fact("bus", ill ? `${ill.name} ${ill.state}` : loads.join(", ") || "–", !now ? "" : ill ? "bad" : busy ? "warn" : "");
+  fact("bus", ill ? `${ill.name} ${word(ill.state)}` : loads.join(", ") || "–", !now ? "" : ill ? "bad" : busy ? "warn" : "");
   const lost = buses.reduce((sum, bus) => sum + bus.lost_frames, 0);
   fact("lost", buses.length ? String(lost) : "–", now && lost ? "bad" : "");
 }
@@ -177,9 +182,9 @@ function showPose(pose) {
   const speed = pose.tractor?.forward_velocity;
   fact("speed", known(speed) ? `${(3.6 * speed).toFixed(1)} km/h` : "–");
   const degrees = (angle) => `${((angle * 180) / Math.PI).toFixed(1)}°`;
-  const words = [`${pose.receivers} of 4 receivers`];
-  if (known(pose.articulation)) words.push(`hitch ${degrees(pose.articulation)}`);
-  if (known(pose.wheel_angle)) words.push(`wheels ${degrees(pose.wheel_angle)}`);
+  const words = [t`${pose.receivers} of 4 receivers`];
+  if (known(pose.articulation)) words.push(t`hitch ${degrees(pose.articulation)}`);
+  if (known(pose.wheel_angle)) words.push(t`wheels ${degrees(pose.wheel_angle)}`);
   words.push(...leans());
   if (pose.flags.length) words.push(pose.flags.map(flagged).join(", "));
   put(byId("map-words"), words.join(" · "));
@@ -189,58 +194,59 @@ function showPose(pose) {
 function leans() {
   if (!live("soil_tire")) return [];
   const told = Object.fromEntries((heard.soil_tire.excitation ?? []).map(({ name, value }) => [name, value]));
-  const side = (angle) => `${Math.abs(angle).toFixed(1)}°${Math.abs(angle) < 0.05 ? "" : angle > 0 ? " right" : " left"}`;
+  const side = (angle) => `${Math.abs(angle).toFixed(1)}°${Math.abs(angle) < 0.05 ? "" : ` ${word(angle > 0 ? "right" : "left")}`}`;
   const named = { lean_tractor_deg: "tractor leans", lean_implement_deg: "implement leans", cross_slope_deg: "slope down" };
-  return Object.entries(named).filter(([name]) => known(told[name])).map(([name, word]) => `${word} ${side(told[name])}`);
+  return Object.entries(named).filter(([name]) => known(told[name])).map(([name, what]) => `${word(what)} ${side(told[name])}`);
 }
 
 function showKnown() {
   const { soil_tire: estimate, shown } = heard;
   const open = PARAMETERS.filter((_, i) => shown.status[i] !== 1);
-  const why = shown.why[PARAMETERS.indexOf(open[0])] || "no estimate yet";
-  const plain = !open.length ? "All six are estimated." : `${open.length < 6 ? `${open.map((one) => one.name).join(", ")}: ` : ""}${capital(why)}.`;
-  put(byId("advice"), shown.withdrawn.length ? "The numbers are withdrawn: the reason stands above." : shown.advised || plain);
+  const why = inLanguage(shown, "why")[PARAMETERS.indexOf(open[0])] || word("no estimate yet");
+  const plain = !open.length ? word("All six are estimated.") : `${open.length < 6 ? `${open.map((one) => one.name).join(", ")}: ` : ""}${capital(why)}.`;
+  put(byId("advice"), shown.withdrawn.length ? word("The numbers are withdrawn: the reason stands above.") : inLanguage(shown, "advised") || plain);
   byId("known").replaceChildren(...PARAMETERS.map((one, i) => {
     const item = element("li");
-    item.append(element("b", "", one.title), ` ${one.name}: ${knowledge(shown.known[i])}`);
+    item.append(element("b", "", word(one.title)), ` ${one.name}: ${knowledge(shown.known[i])}`);
     return item;
   }));
-  const names = shown.determined.length ? `The data alone determine ${shown.determined.join(", ")}. Each ± is 95 %.` : "";
-  put(byId("method"), [names, estimate.rule ? `Method: ${estimate.rule}.` : ""].filter(Boolean).join(" "));
+  const names = shown.determined.length ? t`The data alone determine ${shown.determined.join(", ")}. Each ± is 95 %.` : "";
+  put(byId("method"), [names, estimate.rule ? t`Method: ${inLanguage(estimate, "rule")}.` : ""].filter(Boolean).join(" "));
   byId("place").hidden = !shown.place;
   if (shown.place) {
-    put(byId("place-words"), shown.place.words);
+    put(byId("place-words"), inLanguage(shown.place, "words"));
     byId("place").querySelectorAll("i").forEach((part, i) => { part.style.flexGrow = shown.place.shares[i]; });
   }
   showGround(shown.ground);
-  putLines(byId("withdrawn-why"), shown.withdrawn);
+  putLines(byId("withdrawn-why"), inLanguage(shown, "withdrawn"));
   byId("withdrawn").hidden = !shown.withdrawn.length;
 }
 
 // Another run, or a place in it at which nothing was estimated yet.
 function forgetKnown() {
-  put(byId("advice"), "Nothing has been heard yet.");
+  put(byId("advice"), word("Nothing has been heard yet."));
   put(byId("method"), "");
   byId("known").replaceChildren();
-  byId("ground").replaceChildren(element("li", "", "Nothing has been heard yet."));
+  byId("ground").replaceChildren(element("li", "", word("Nothing has been heard yet.")));
   byId("withdrawn").hidden = byId("place").hidden = true;
   traces.forget();
 }
 
 function knowledge(share) {
-  if (share === undefined) return "not judged yet";
-  return share === null ? "not determined" : `known to ${share}`;
+  if (share === undefined) return word("not judged yet");
+  return share === null ? word("not determined") : t`known to ${share}`;
 }
 
 function showGround(ground) {
   const list = byId("ground");
   if (!list.querySelector("strong")) list.replaceChildren(...ground.map((_, i) => madeGround(PARAMETERS[i])));
-  ground.forEach(({ word, text }, i) => {
+  ground.forEach((one, i) => {
+    const soil = one.word;
     const item = list.children[i];
-    item.dataset.word = word;
-    put(item.querySelector(".sign"), `${SIGNS[word] ?? "?"} `);
-    put(item.querySelector(".word"), word);
-    put(item.querySelector(".ground-text"), text);
+    item.dataset.word = soil;
+    put(item.querySelector(".sign"), `${SIGNS[soil] ?? "?"} `);
+    put(item.querySelector(".word"), word(soil));
+    put(item.querySelector(".ground-text"), inLanguage(one, "text"));
   });
 }
 
@@ -248,19 +254,20 @@ function madeGround({ title, name }) {
   const item = element("li", "now"), sign = element("span", "sign"), said = element("strong");
   sign.setAttribute("aria-hidden", "true");
   said.append(sign, element("span", "word"));
-  item.append(element("b", "", title), element("span", "quiet", ` ${name}`), said, element("span", "ground-text"));
+  item.append(element("b", "", word(title)), element("span", "quiet", ` ${name}`), said, element("span", "ground-text"));
   return item;
 }
 
 function showEvents(events) {
-  const shown = events.filter((event) => !QUIET_EVENTS.has(event.kind));
+  const all = byId("technical").getAttribute("aria-pressed") === "true";
+  const shown = events.filter(({ kind }) => !QUIET_EVENTS.has(kind) && (all || !TECHNICAL.has(kind)));
   const items = shown.toReversed().map((event) => {
     const item = element("li"), at = element("time", "", clock(event.t_ns));
-    item.append(at, element("b", "", `${spaced(event.kind)} `), event.text);
+    item.append(at, element("b", "", `${word(spaced(event.kind))} `), inLanguage(event, "text"));
     return item;
   });
-  byId("events").replaceChildren(...(items.length ? items : [element("li", "quiet", "None yet.")]));
-  traces.setEvents(shown);
+  byId("events").replaceChildren(...(items.length ? items : [element("li", "quiet", word("None yet."))]));
+  traces.setEvents(events);
 }
 
 // The stream: again and again, for as long as the page is open.
@@ -317,6 +324,10 @@ function prepareTheme() {
   apply();
 }
 
+byId("technical").addEventListener("click", ({ currentTarget: button }) => {
+  button.setAttribute("aria-pressed", String(button.getAttribute("aria-pressed") !== "true"));
+  showEvents(heard.events);
+});
 byId("zoom-in").addEventListener("click", () => map.zoom(1.5));
 byId("zoom-out").addEventListener("click", () => map.zoom(1 / 1.5));
 byId("fit").addEventListener("click", () => map.fit());

@@ -1,6 +1,7 @@
 // Marks: one tap for what happens often, a note for the rest. ✔ is shown when the daemon says that it is in the
 // log, not before; a refusal stays until the same mark is tried again.
 
+import { t, word } from "./language.js";
 import { element, put } from "./tiles.js";
 
 const MARK_BYTES = 1024;
@@ -12,17 +13,17 @@ async function send(text) {
     const answer = await fetch("/mark", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text }) });
     return await answer.json();
   } catch {
-    return { noted: false, text: "the page's own server does not answer" };
+    return { noted: false, text: word("the page's own server does not answer") };
   }
 }
 
-const told = (result) => (result.noted ? "✔ It is in the log." : `✘ Not in the log: ${result.text}`);
+const told = (result) => (result.noted ? word("✔ It is in the log.") : t`✘ Not in the log: ${result.text}`);
 
 export function prepareMarks() {
   const answers = new Map(); // what was tapped -> what became of it
   const show = () => {
     byId("marks-told").replaceChildren(...[...answers].map(([text, [words, state]]) => {
-      const line = element("p", "", `${text}: ${words}`);
+      const line = element("p", "", `${word(text)}: ${words}`);
       line.dataset.state = state;
       return line;
     }));
@@ -31,7 +32,7 @@ export function prepareMarks() {
     button.addEventListener("click", async () => {
       const text = button.dataset.mark;
       button.disabled = true;
-      answers.set(text, ["asking the daemon …", "wait"]);
+      answers.set(text, [word("asking the daemon …"), "wait"]);
       show();
       const result = await send(text);
       button.disabled = false;
@@ -52,7 +53,7 @@ function prepareNote() {
   const [dialog, input, answer, button, cancel] = ["mark-dialog", "mark-text", "mark-told", "mark-send", "mark-cancel"].map(byId);
   const open = () => {
     put(answer, "");
-    put(cancel, "Cancel");
+    put(cancel, word("Cancel"));
     dialog.showModal();
     input.focus();
   };
@@ -71,17 +72,17 @@ function prepareNote() {
     event.preventDefault();
     const size = new TextEncoder().encode(input.value).length;
     if (size > MARK_BYTES) {
-      put(answer, `✘ This note has ${size} bytes; ${MARK_BYTES} are the most.`);
+      put(answer, t`✘ This note has ${size} bytes; ${MARK_BYTES} are the most.`);
       return;
     }
     button.disabled = true;
-    put(answer, "Asking the daemon …");
+    put(answer, word("Asking the daemon …"));
     const result = await send(input.value);
     button.disabled = false;
     put(answer, told(result));
     if (result.noted) {
       input.value = "";
-      put(cancel, "Close");
+      put(cancel, word("Close"));
       cancel.focus();
     }
   });

@@ -1,6 +1,7 @@
 // What the daemon has found moved: each with buttons that accept it as it is now. The box goes when the daemon says
 // that it is accepted, or back where it was.
 
+import { t, word } from "./language.js";
 import { element } from "./tiles.js";
 import { capital } from "./words.js";
 
@@ -11,7 +12,7 @@ async function accept(name) {
     const answer = await fetch("/accept", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text: name }) });
     return await answer.json();
   } catch {
-    return { noted: false, text: "the page's own server does not answer" };
+    return { noted: false, text: word("the page's own server does not answer") };
   }
 }
 
@@ -32,17 +33,17 @@ export class Moved {
   made({ names, text }) {
     const item = element("div"), told = element("p");
     told.setAttribute("role", "status");
-    item.append(element("p", "", `${capital(text)}. Put it back, or accept it as it is now:`));
+    item.append(element("p", "", t`${capital(text)}. Put it back, or accept it as it is now:`));
     const buttons = names.map((name) => {
-      const button = element("button", "", `accept ${TITLES[name] ?? name.replaceAll("_", " ")}`);
+      const button = element("button", "", t`accept ${word(TITLES[name] ?? name.replaceAll("_", " "))}`);
       button.type = "button";
       button.dataset.accept = name;
       button.addEventListener("click", async () => {
         for (const other of buttons) other.disabled = true;
-        told.textContent = "Asking the daemon …";
+        told.textContent = word("Asking the daemon …");
         const result = await accept(name);
         for (const other of buttons) other.disabled = result.noted;
-        told.textContent = result.noted ? "✔ Accepted: it is in the log, and used." : `✘ Not accepted: ${result.text}`;
+        told.textContent = result.noted ? word("✔ Accepted: it is in the log, and used.") : t`✘ Not accepted: ${result.text}`;
       });
       return button;
     });

@@ -1,5 +1,6 @@
 // The end of a demo: truth beside estimate, and what to do next.
 
+import { t, word } from "./language.js";
 import { element } from "./tiles.js";
 import { known, PARAMETERS } from "./words.js";
 
@@ -14,7 +15,7 @@ export class Over {
     byId("over-table").hidden = !over.rows.length;
     byId("over-rows").replaceChildren(...over.rows.map(row));
     byId("over-next").replaceChildren(...over.next.map(([what, command]) => {
-      const item = element("li", "", `${what}: `);
+      const item = element("li", "", `${word(what)}: `);
       item.append(element("code", "", command));
       return item;
     }));
@@ -24,11 +25,11 @@ export class Over {
 function row({ name, unit, truth, value, interval, holds }) {
   const which = PARAMETERS.find((one) => one.name === name), line = element("tr");
   const number = (one) => (known(one) ? one.toFixed(which.digits) : "–");
-  const head = element("th", "", which.title);
+  const head = element("th", "", word(which.title));
   head.scope = "row";
   head.append(element("span", "quiet", ` ${name}, ${unit}`));
-  const range = interval ? `${number(interval[0])} to ${number(interval[1])}` : "–";
-  const told = holds === null ? "not estimated" : holds ? "✔ yes" : "✘ no";
+  const range = interval ? t`${number(interval[0])} to ${number(interval[1])}` : "–";
+  const told = word(holds === null ? "not estimated" : holds ? "✔ yes" : "✘ no");
   line.append(head, ...[number(truth), number(value), range, told].map((text) => element("td", "", text)));
   return line;
 }

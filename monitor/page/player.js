@@ -1,6 +1,7 @@
 // Plays a recorded run: a bar under the map, and what one may want to jump to. The player is told what to do;
 // what is shown is what it says of itself.
 
+import { t, word } from "./language.js";
 import { element, put } from "./tiles.js";
 import { clock, duration, spaced } from "./words.js";
 
@@ -15,7 +16,7 @@ export async function tell(order) {
     const answer = await fetch("/player", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order) });
     return (await answer.json()).text;
   } catch {
-    return "the page's own server does not answer";
+    return word("the page's own server does not answer");
   }
 }
 
@@ -47,14 +48,14 @@ export class PlayerBar {
     this.player = player;
     const { state, at_s, length_s, rate, run } = player, playing = state === "playing", slider = byId("play-slider");
     put(byId("play-sign"), playing ? "❚❚" : "▶");
-    byId("play").setAttribute("aria-label", playing ? "Pause" : "Play");
+    byId("play").setAttribute("aria-label", word(playing ? "Pause" : "Play"));
     if (document.activeElement !== byId("play-rate")) byId("play-rate").value = String(rate);
     slider.max = String(Math.max(1, length_s));
     if (this.#isThere(at_s, rate)) slider.value = String(at_s);
-    const words = `${duration(at_s)} of ${duration(length_s)}`;
+    const words = t`${duration(at_s)} of ${duration(length_s)}`;
     slider.setAttribute("aria-valuetext", words);
     put(byId("play-time"), words);
-    put(byId("play-state"), `${WORDS[state] ?? state}${player.text ? `: ${player.text}` : ""}`);
+    put(byId("play-state"), `${word(WORDS[state] ?? state)}${player.text ? `: ${player.text}` : ""}`);
     if (run !== this.run) {
       this.run = run;
       this.#ask();
@@ -70,7 +71,7 @@ export class PlayerBar {
       const { run, places } = await (await fetch("/player/places")).json();
       if (run === this.run) this.places = places;
     } catch {
-      put(byId("play-told"), "What one could jump to cannot be asked for.");
+      put(byId("play-told"), word("What one could jump to cannot be asked for."));
     }
     this.#list();
   }
@@ -85,7 +86,7 @@ export class PlayerBar {
     this.items = this.places.map((place) => {
       const item = element("li"), button = element("button", "place");
       button.type = "button";
-      button.append(element("span", "place-at", duration(place.at_s)), element("b", "", ` ${spaced(place.kind)} `), place.text, element("span", "quiet", ` ${clock(place.t_ns)}`));
+      button.append(element("span", "place-at", duration(place.at_s)), element("b", "", ` ${word(spaced(place.kind))} `), place.text, element("span", "quiet", ` ${clock(place.t_ns)}`));
       button.addEventListener("click", () => {
         byId("play-slider").value = String(place.at_s);
         this.#seek(place.at_s);
@@ -93,7 +94,7 @@ export class PlayerBar {
       item.append(button);
       return item;
     });
-    byId("places").replaceChildren(...(this.items.length ? this.items : [element("li", "quiet", "No mark, event or turn.")]));
+    byId("places").replaceChildren(...(this.items.length ? this.items : [element("li", "quiet", word("No mark, event or turn."))]));
   }
 
   // The last one before here is said to be the current one.

@@ -1,6 +1,7 @@
 // The report of the run so far: a button, how it goes, and a link once it is there. The daemon makes it and says
 // how it goes; the file comes through this page's server.
 
+import { t, word } from "./language.js";
 import { element } from "./tiles.js";
 import { duration } from "./words.js";
 
@@ -11,7 +12,7 @@ async function ask() {
     const answer = await fetch("/report", { method: "POST", headers: { "content-type": "application/json" }, body: "{}" });
     return (await answer.json()).text;
   } catch {
-    return "the page's own server does not answer";
+    return word("the page's own server does not answer");
   }
 }
 
@@ -21,7 +22,7 @@ export class RunReport {
     this.asking = false;
     byId("report-make").addEventListener("click", async () => {
       this.asking = true;
-      this.#show("asking the daemon …");
+      this.#show(word("asking the daemon …"));
       this.refused = await ask();
       this.asking = false;
       this.show(this.report, this.alive, this.played);
@@ -35,9 +36,9 @@ export class RunReport {
     const making = report?.state === "making";
     byId("report-make").disabled = this.asking || making || !alive;
     if (this.asking) return;
-    if (this.refused && !making) this.#show(`✘ No report: ${this.refused}`, "bad");
-    else if (making) this.#show("The report is being made; it may take some minutes. The recorder goes first.", "wait");
-    else if (report?.state === "failed") this.#show(`✘ No report: ${report.text}`, "bad");
+    if (this.refused && !making) this.#show(t`✘ No report: ${this.refused}`, "bad");
+    else if (making) this.#show(word("The report is being made; it may take some minutes. The recorder goes first."), "wait");
+    else if (report?.state === "failed") this.#show(t`✘ No report: ${report.text}`, "bad");
     else if (report?.state === "ready") this.#ready(report);
     else this.#show("");
     if (making) this.refused = "";
@@ -45,11 +46,11 @@ export class RunReport {
 
   #ready(report) {
     const took = duration((report.ended_ns - report.began_ns) / 1e9);
-    const link = element("a", "", "Open the report");
+    const link = element("a", "", word("Open the report"));
     link.href = "/report.html";
     link.target = "_blank";
     link.rel = "noopener";
-    this.#put("good", `✔ Made in ${took}. `, link, element("span", "quiet", ` ${report.text}, in the folder reports of the logs`));
+    this.#put("good", `${t`✔ Made in ${took}.`} `, link, element("span", "quiet", ` ${t`${report.text}, in the folder reports of the logs`}`));
   }
 
   #show(words, state = "") {

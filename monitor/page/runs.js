@@ -1,5 +1,6 @@
 // The recorded runs that can be played: when, how long, where, and what was learned.
 
+import { t, word } from "./language.js";
 import { element, put } from "./tiles.js";
 import { duration, interval, PARAMETERS } from "./words.js";
 import { tell } from "./player.js";
@@ -43,9 +44,9 @@ export class Runs {
   }
 
   #row(run) {
-    const row = element("tr"), button = element("button", "", run.name === this.run ? "Again" : "Play"), first = element("td");
+    const row = element("tr"), button = element("button", "", word(run.name === this.run ? "Again" : "Play")), first = element("td");
     button.type = "button";
-    button.setAttribute("aria-label", `Play ${run.name}`);
+    button.setAttribute("aria-label", t`Play ${run.name}`);
     button.addEventListener("click", async () => {
       this.refused = await tell({ order: "open", run: run.name });
     });
@@ -53,8 +54,8 @@ export class Runs {
     if (run.name === this.run) row.setAttribute("aria-current", "true");
     const name = element("th", "", run.name);
     name.scope = "row";
-    const notes = [...run.notes.map((note) => `“${note}”`), run.simulated ? "simulated" : "", run.state].filter(Boolean).join("; ");
-    row.append(first, name, element("td", "", run.began.replace("T", " ").replace("Z", "") || "not known"), element("td", "", run.length_s ? duration(run.length_s) : "–"), element("td", "", place(run)), element("td", "", learned(run.learned)), element("td", "", notes));
+    const notes = [...run.notes.map((note) => `“${note}”`), run.simulated ? word("simulated") : "", run.state].filter(Boolean).join("; ");
+    row.append(first, name, element("td", "", run.began.replace("T", " ").replace("Z", "") || word("not known")), element("td", "", run.length_s ? duration(run.length_s) : "–"), element("td", "", place(run)), element("td", "", learned(run.learned)), element("td", "", notes));
     return row;
   }
 }
@@ -66,5 +67,5 @@ function learned(rows) {
     const which = PARAMETERS.find((one) => one.name === row.name), range = which && interval(row, which);
     return range ? `${row.name} ${range.value.toFixed(which.digits)} ${which.unit} (${range.low.toFixed(which.digits)} to ${range.high.toFixed(which.digits)})` : "";
   });
-  return told.filter(Boolean).join(", ") || "nothing yet";
+  return told.filter(Boolean).join(", ") || word("nothing yet");
 }

@@ -1,5 +1,6 @@
 // The angle of the front wheels over time, above what is estimated from it.
 
+import { word } from "./language.js";
 import { element } from "./tiles.js";
 import { clock, known } from "./words.js";
 
@@ -11,8 +12,8 @@ export class Steering {
   constructor(container, times) {
     this.times = times;
     this.clear();
-    const head = element("h3", "", "Steering");
-    head.append(element("span", "quiet", " wheel angle in degrees, right positive"));
+    const head = element("h3", "", word("Steering"));
+    head.append(element("span", "quiet", ` ${word("wheel angle in degrees, right positive")}`));
     const frame = element("div", "steering-plot");
     container.append(head, frame);
     const colour = (key) => () => this.colours?.[key] ?? "";

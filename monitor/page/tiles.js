@@ -1,5 +1,6 @@
 // The five sensor tiles: made once, then only their words change.
 
+import { t, word } from "./language.js";
 import { capital, known, spaced, time } from "./words.js";
 
 const MOUNTS = ["tractor_front", "tractor_rear", "implement_front", "implement_rear", ""];
@@ -23,7 +24,7 @@ export class Tiles {
     this.tiles = MOUNTS.map((mount) => {
       const tile = element("li", "tile");
       const [state, fix, age, fault] = ["tile-state", "tile-fix", "", ""].map((name) => element("p", name));
-      tile.append(element("h3", "", mount ? capital(spaced(mount)) : "Wheel angle"), state, fix, age, fault);
+      tile.append(element("h3", "", word(mount ? capital(spaced(mount)) : "Wheel angle")), state, fix, age, fault);
       tile.dataset.state = "unknown";
       list.append(tile);
       return { mount, tile, state, fix, age, fault };
@@ -34,25 +35,25 @@ export class Tiles {
   show(status, live, ago, never) {
     for (const one of this.tiles) {
       const row = one.mount ? (status.receivers ?? []).find((r) => r.mount === one.mount) : status.wheel_angle;
-      this.#showOne(one, live ? row : undefined, live ? "not in use" : row ? "? not heard" : never);
-      if (!live && row) put(one.age, `was ${spaced(row.state)} ${ago} ago`);
+      this.#showOne(one, live ? row : undefined, live ? word("not in use") : row ? word("? not heard") : never);
+      if (!live && row) put(one.age, t`was ${word(spaced(row.state))} ${ago} ago`);
     }
   }
 
   #showOne(one, row, none) {
     const floating = row?.state === "alive" && one.mount && row.fix && !GOOD_FIXES.has(row.fix);
     one.tile.dataset.state = row ? (floating ? "warn" : STATES[row.state] ?? "warn") : "unknown";
-    put(one.state, row ? WORDS[row.state] ?? spaced(row.state) : none);
-    put(one.fix, row && one.mount ? (row.fix ? spaced(row.fix).replace("rtk", "RTK").replace("gnss", "GNSS") : "no fix told") : "");
+    put(one.state, row ? word(WORDS[row.state] ?? spaced(row.state)) : none);
+    put(one.fix, row && one.mount ? (row.fix ? spaced(row.fix).replace("rtk", "RTK").replace("gnss", "GNSS") : word("no fix told")) : "");
     const parts = [];
     if (known(row?.per_s)) parts.push(`${row.per_s.toFixed(row.per_s < 9.95 ? 1 : 0)}/s`);
-    if (known(row?.age_s)) parts.push(`${time(row.age_s)} old`);
+    if (known(row?.age_s)) parts.push(t`${time(row.age_s)} old`);
     put(one.age, parts.join(", "));
     put(one.fault, row ? fault(row) : "");
   }
 }
 
 function fault(row) {
-  if (!row.fault) return "no fault in this run";
-  return row.fault_age_s > 0 ? `was ${spaced(row.fault)} until ${time(row.fault_age_s)} ago` : `${spaced(row.fault)} now`;
+  if (!row.fault) return word("no fault in this run");
+  return row.fault_age_s > 0 ? t`was ${word(spaced(row.fault))} until ${time(row.fault_age_s)} ago` : t`${word(spaced(row.fault))} now`;
 }

@@ -1,5 +1,6 @@
 // Six parameters over time, each with its 95 % band, what was assumed before, and the events.
 
+import { word } from "./language.js";
 import { element, put } from "./tiles.js";
 import { clock, interval, known, PARAMETERS, told } from "./words.js";
 
@@ -84,7 +85,7 @@ export class Traces {
     for (const [i, one] of this.plots.entries()) {
       put(one.value, `– ${PARAMETERS[i].unit}`);
       for (const place of [one.range, one.why]) put(place, "");
-      put(one.status, "no estimate");
+      put(one.status, word("no estimate"));
       one.status.dataset.state = "unknown";
     }
   }
@@ -109,9 +110,9 @@ export class Traces {
 
   #make(container, which, i) {
     const box = element("article", "trace"), head = element("div", "trace-head"), frame = element("div", "trace-plot");
-    const [value, status] = [element("span", "trace-value now", `– ${which.unit}`), element("span", "trace-status", "no estimate")];
+    const [value, status] = [element("span", "trace-value now", `– ${which.unit}`), element("span", "trace-status", word("no estimate"))];
     const range = element("span", "trace-range now"), why = element("p", "trace-why");
-    const title = element("h3", "", which.title), name = element("span", "quiet", which.name);
+    const title = element("h3", "", word(which.title)), name = element("span", "quiet", which.name);
     const words = element("div", "trace-head");
     head.append(title, name);
     words.append(value, range, status);
@@ -123,7 +124,7 @@ export class Traces {
       width: Math.max(200, frame.clientWidth), height: HEIGHT,
       legend: { show: false }, cursor: { show: false },
       scales: { x: { time: true, range: () => this.#times() }, y: { range: (u, low, high) => this.#values(i, low, high) } },
-      axes: [{ ...axis, space: 50, size: 28, values: (u, at) => at.map((t) => clock(t * 1e9).slice(0, u.scales.x.max - u.scales.x.min > 180 ? 5 : 8)) }, { ...axis, size: 48 }],
+      axes: [{ ...axis, space: 64, size: 28, values: (u, at) => at.map((t) => clock(t * 1e9).slice(0, u.scales.x.max - u.scales.x.min > 180 ? 5 : 8)) }, { ...axis, size: 48 }],
       series: [
         {},
         { stroke: "transparent", points: { show: false } },

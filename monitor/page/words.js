@@ -1,5 +1,7 @@
 // What things are called and how numbers are written. Nothing here touches the page.
 
+import { said, t, word } from "./language.js";
+
 export const PARAMETERS = [
   { name: "C_af", title: "Front tyres", unit: "kN/rad", scale: 1e-3, digits: 0 },
   { name: "C_ar", title: "Rear tyres", unit: "kN/rad", scale: 1e-3, digits: 0 },
@@ -50,21 +52,21 @@ export function interval(row, which) {
 
 export function flagged(flag) {
   const [kind, ...of] = flag.split(":");
-  return kind === "contradiction" ? `contradicts the machine file: ${of.join(":")}` : spaced(flag.replace(":", " "));
+  return kind === "contradiction" ? t`contradicts the machine file: ${of.join(":")}` : `${word(spaced(kind))} ${word(spaced(of.join(" ")))}`.trim();
 }
 
 // What is said of the recorded drive that is shown while the daemon of a demo gets ready.
 export function firstDrive({ preparing: doing, ready_in_s, recording }) {
-  const left = known(ready_in_s) ? `, about ${time(Math.round(ready_in_s))} left` : "";
+  const left = known(ready_in_s) ? t`, about ${time(Math.round(ready_in_s))} left` : "";
   const now = doing ? ` (${doing}${left})` : "";
-  return `This is a recorded simulated drive, while this computer gets ready${now}.${recording ? " Your own demo is recorded already." : ""}`;
+  return t`This is a recorded simulated drive, while this computer gets ready${now}.` + (recording ? ` ${word("Your own demo is recorded already.")}` : "");
 }
 
 // What the daemon still makes ready. `age_s`: of what it said about that.
 export function preparing({ preparing, ready_in_s, recording }, age_s) {
   const left = known(ready_in_s) ? ready_in_s - (age_s ?? 0) : undefined;
-  const when = !known(left) ? "" : left < 1 ? ", ready at any moment" : `, about ${time(Math.round(left))} left`;
-  return `${capital(preparing)}${when}. ${recording ? "Frames are recorded meanwhile; results follow." : "Results follow."}`;
+  const when = !known(left) ? "" : left < 1 ? word(", ready at any moment") : t`, about ${time(Math.round(left))} left`;
+  return `${capital(preparing)}${when}. ${word(recording ? "Frames are recorded meanwhile; results follow." : "Results follow.")}`;
 }
 
 // Of parameter i: what stands above its trace. `old`: how old the estimate as a whole is, if it is too old.
@@ -75,12 +77,12 @@ export function told({ parameters }, shown, i, old, age_s) {
   const age = parameters[i].age_s;
   return {
     value: range ? `${number(range.value)} ${which.unit}` : `– ${which.unit}`,
-    range: range ? `${number(range.low)} to ${number(range.high)}` : "",
-    status: stale ? "stale" : STATUSES[status],
+    range: range ? t`${number(range.low)} to ${number(range.high)}` : "",
+    status: word(stale ? "stale" : STATUSES[status]),
     state: stale ? "warn" : STATUS_STATES[status],
     why: [
-      stale ? `no estimate for ${time(age_s)}` : shown.why[i],
-      known(age) ? `data last told of it ${time(age + (age_s ?? 0))} ago` : "",
+      stale ? t`no estimate for ${time(age_s)}` : said(shown, "why")[i],
+      known(age) ? t`data last told of it ${time(age + (age_s ?? 0))} ago` : "",
     ].filter(Boolean).join("; "),
   };
 }

@@ -26,24 +26,33 @@ class SoilWord(StrEnum):
 
 
 def soil_words(value: float | None, within: float | None, status: int, usual: float | None) -> dict[str, str]:
-    """How the soil holds a group of tyres, against the machine file's: a word, and what it rests on."""
+    """How the soil holds a group of tyres, against the machine file's: a word, and what it rests on,
+    in English and German."""
     if status == Status.INVALID:
-        return {"word": SoilWord.WITHDRAWN, "text": ""}
+        return _said(SoilWord.WITHDRAWN)
     if status == Status.STALE:
-        return {"word": SoilWord.NOT_KNOWN_NOW, "text": ""}
+        return _said(SoilWord.NOT_KNOWN_NOW)
     if status != Status.ESTIMATED or value is None or within is None or not usual:
-        return {"word": SoilWord.NOT_KNOWN_YET, "text": ""}
+        return _said(SoilWord.NOT_KNOWN_YET)
     ratio = value / usual
     low, high = ratio * math.exp(-within), ratio * math.exp(within)
-    text = f"{_percent(ratio)} % of usual (95 %: {_percent(low)} to {_percent(high)} %)"
+    percent = (ratio, low, high)
     if high < SOFT:
-        return {"word": SoilWord.SOFT, "text": text}
+        return _said(SoilWord.SOFT, percent)
     if low > FIRM:
-        return {"word": SoilWord.FIRM, "text": text}
+        return _said(SoilWord.FIRM, percent)
     between = {(True, True): SoilWord.USUAL, (True, False): SoilWord.USUAL_TO_FIRM,
                (False, True): SoilWord.SOFT_TO_USUAL, (False, False): SoilWord.ROUGH}  # fmt: skip
-    return {"word": between[USUAL[0] <= low, high <= USUAL[1]], "text": text}
+    return _said(between[USUAL[0] <= low, high <= USUAL[1]], percent)
 
 
-def _percent(ratio: float) -> str:
-    return f"{100 * ratio:.0f}"
+def _said(word: SoilWord, ratios: tuple[float, ...] = ()) -> dict[str, str]:
+    """ratios: of the machine file's, the value and both ends."""
+    if not ratios:
+        return {"word": word, "text": "", "text_de": ""}
+    now, low, high = (f"{100 * ratio:.0f}" for ratio in ratios)
+    return {
+        "word": word,
+        "text": f"{now} % of usual (95 %: {low} to {high} %)",
+        "text_de": f"{now} % vom Üblichen (95 %: {low} bis {high} %)",
+    }

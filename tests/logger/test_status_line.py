@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from tilth.logger.status_line import PanelDisplay, PlainDisplay, plain_line, stiffness_text
+from tilth.logger.status_line import LineDisplay, PanelDisplay, PlainDisplay, plain_line, stiffness_text
 from tilth.schemas.flow import Event, ParameterEstimate, Status
 from tilth.schemas.notices import in_words
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -99,3 +99,15 @@ def test_what_is_still_made_ready_is_said_with_the_time_that_is_left() -> None:
     assert "wheel angle alive, compiling kernels, about 40 s left, front" in plain_line(status, None)
     assert "RECORDING" in panel_text(status) and "compiling kernels, about 40 s left" in panel_text(status)
     assert "compiling" not in panel_text(status_with())
+
+
+def test_one_line_is_written_anew() -> None:
+    stream = io.StringIO()
+    display = LineDisplay(Console(file=stream, force_terminal=True, width=80, color_system=None))
+    display.show(status_with(preparing="compiling", ready_in_s=40.0), None)
+    display.event(Event(0, "bus", in_words("can0: heard again")))
+    display.show(status_with(), None)
+    assert "\n" not in stream.getvalue()
+    display.close()
+    assert "… compiling, about 40 s left" in stream.getvalue() and "heard again" not in stream.getvalue()
+    assert "62:03  tyres, kN/rad (95 %): front unestimated" in stream.getvalue()

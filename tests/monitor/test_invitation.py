@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from starlette.responses import PlainTextResponse
 
+from tilth.monitor.guard import Guard
 from tilth.monitor.invitation import ASK, COOKIE, KEY, Invitation
-from tilth.monitor.server import Guard
 
 
 def answer(guard: Guard, client: str, path: str = "/", query: str = "", cookie: str = "") -> tuple[int, Any]:

@@ -392,6 +392,61 @@ def test_a_phone_has_the_soil_at_once_and_all_else_by_one_tap(
     page.context.close()
 
 
+def test_a_phone_is_turned_and_nothing_is_wider_than_it(
+    browser: Browser, stage: tuple[Stage, Monitor]
+) -> None:
+    page, _ = opened(browser, stage[1], "phone", viewport={"width": 640, "height": 360})
+    expect(page.locator("#ground")).to_contain_text("as usual", timeout=SOON_MS)
+    for width, height in ((360, 640), (640, 360), (360, 640)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.wait_for_function("(width) => document.documentElement.scrollWidth === width", arg=width)
+        wide = page.evaluate(
+            "(width) => [...document.querySelectorAll('main, main > *, .middle > *, .trace-plot, canvas')]"
+            ".filter((one) => one.getBoundingClientRect().right > width + 1).map((one) => one.className)",
+            width,
+        )
+        assert wide == []
+    page.context.close()
+
+
+def test_german_by_the_language_of_the_browser_and_by_the_switch(
+    browser: Browser, stage: tuple[Stage, Monitor]
+) -> None:
+    page, faults = opened(browser, stage[1], "phone", locale="de-DE")
+    expect_run(page, "● ZEICHNET AUF", "good")
+    expect(page.locator("#ground")).to_contain_text("wie üblich", timeout=SOON_MS)
+    expect(page.locator("#advice")).to_contain_text("Reifen hinten", timeout=SOON_MS)
+    expect(page.locator("html")).to_have_attribute("lang", "de")
+    page.locator("#language").tap()
+    expect_run(page, "● RECORDING", "good")
+    page.reload()
+    expect_run(page, "● RECORDING", "good")  # it is kept
+    page.context.close()
+    assert not faults.told
+
+
+def test_marks_are_off_while_the_daemon_is_gone_and_technical_events_are_folded_away(
+    browser: Browser,
+) -> None:
+    with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
+        page, _ = opened(browser, monitor)
+        expect_run(page, "RECORDING", "good")
+        page.locator("#technical").click()
+        stage.order(event="bus", text="its frames are stamped by the driver")
+        expect(page.locator("#events")).to_contain_text("stamped", timeout=SOON_MS)
+        page.locator("#technical").click()
+        stage.order(event="soil_change", text="the soil holds the tyres differently")
+        expect(page.locator("#events")).to_contain_text("the soil holds", timeout=SOON_MS)
+        expect(page.locator("#events")).not_to_contain_text("stamped")
+        expect(page.locator("#mark")).to_be_enabled()
+        stage.process.kill()
+        expect_run(page, "DAEMON GONE", "bad")
+        expect(page.locator("#mark")).to_be_disabled()
+        page.keyboard.press("m")
+        expect(page.locator("#mark-dialog")).to_be_hidden()
+        page.context.close()
+
+
 def test_the_map_by_mouse_and_keyboard(browser: Browser, stage: tuple[Stage, Monitor]) -> None:
     page, faults = opened(browser, stage[1])
     expect(page.locator("#map-words")).to_contain_text("receivers", timeout=SOON_MS)
@@ -430,8 +485,9 @@ def test_the_demo_opens_with_the_address_of_its_page(
         page = browser.new_page(**SIZES["desktop"])
         page.goto(found[0])
         assert "bad" not in (page.locator("#run").get_attribute("data-state") or "")
-        expect_run(page, "● RECORDING", "good")
         expect(page.locator("#simulated")).to_be_visible()
+        # Until its kernels are compiled a recorded drive is shown.
+        expect(page.locator("#run-word")).to_have_text("● RECORDING", timeout=5 * SOON_MS)
         expect(page.locator("#map-words")).to_contain_text("4 of 4 receivers", timeout=SOON_MS)
         if request.config.getoption("--refresh"):
             expect(page.locator("#run-time")).to_have_text(re.compile("0:01:[1-5]"), timeout=2 * SOON_MS)

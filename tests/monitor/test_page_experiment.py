@@ -97,6 +97,15 @@ def test_a_driver_is_prompted_on_a_phone(
     expect(page.locator("#experiment-text")).to_have_text("Follow the bar.", timeout=SOON_MS)
     expect(page.locator("#experiment-angles")).to_contain_text("wanted")
     page.wait_for_function(f"({DRAWN})() > 3", timeout=SOON_MS)
+    page.set_viewport_size({"width": 360, "height": 640})
+    page.evaluate("scrollTo(0, 0)")
+    above, below = page.locator("header").bounding_box(), page.locator(".bar").bounding_box()
+    assert above is not None and below is not None
+    for button in (arm, stop):  # whatever is between them and the top, they are in reach
+        box = button.bounding_box()
+        assert box is not None and above["y"] + above["height"] <= box["y"]
+        assert box["y"] + box["height"] <= below["y"]
+    page.set_viewport_size(PHONE)
     part.scroll_into_view_if_needed()
     if request.config.getoption("--refresh"):
         shot = Image.open(BytesIO(page.screenshot()))

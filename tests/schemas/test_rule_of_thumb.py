@@ -1,8 +1,11 @@
 """What follows from scale and tape, beside rigs whose numbers are known."""
 
+from collections.abc import Mapping
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.machine import Implement, Tractor
@@ -10,7 +13,7 @@ from tilth.schemas.rule_of_thumb import (
     DRAWING,
     IMPLEMENT_SHARE,
     TRACTOR_SHARE,
-    Lengths,
+    TapedLengths,
     Weights,
     by_scale,
     yaw_inertia,
@@ -20,7 +23,7 @@ from tilth.simulator.fleet import drawn
 
 LONG = st.floats(1.0, 6.0)
 G = 9.81
-SECTIONS = {"tractor": Tractor, "implement": Implement}
+SECTIONS: Mapping[str, type[BaseModel]] = {"tractor": Tractor, "implement": Implement}
 
 
 @given(a=LONG, b=LONG, behind=st.floats(0.3, 1.5), d=LONG, e=st.floats(0.05, 0.9), tons=LONG)
@@ -31,7 +34,7 @@ def test_a_scale_and_a_tape_give_the_rig_back(
     front, rear, _ = axle_loads(a, b, b + behind, d, e, mass_t, 1e-9, G)
     *_, axle = axle_loads(a, b, b + behind, d, e, mass_t, mass_i, G)
     weights = Weights(front / G, rear / G, axle / G, mass_i - axle / G)
-    found = by_scale(weights, Lengths(a + b, behind, d + e))
+    found = by_scale(weights, TapedLengths(a + b, behind, d + e))
     wanted = {
         "tractor": {"a": a, "b": b, "c": b + behind, "mass": mass_t},
         "implement": {"d": d, "e": e, "mass": mass_i},
