@@ -203,7 +203,7 @@ def row(first: int, one_soil: bool, bench: Bench) -> list[Line]:
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
     return [
-        *(line for method in METHODS for k, where in enumerate(WHERE) for line in _lines(made, method, where, k)),
+        *(line for m in METHODS for k, where in enumerate(WHERE) for line in _lines(made, m, where, k)),
         *(line for k, where in enumerate(WHERE) for line in _scores(made, where, k)),
         *_ahead(made),
         Line("soil_change was told, in each field", " ".join(str(len(one["changes"])) for one in made)),
@@ -216,8 +216,9 @@ def _ahead(made: Sequence[Result]) -> Iterator[Line]:
         error, sd = np.abs(told).T
         half = float(np.median(Z * sd))
         yield Line(
-            f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the common "
-            "factor; median error", percents([half, float(np.median(error))], 0), "≤ 20 %", half <= AHEAD,
+            f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the "
+            "common factor; median error", percents([half, float(np.median(error))], 0),
+            "≤ 20 %", half <= AHEAD,
         )  # fmt: skip
         holds = float(np.mean(error < Z * sd))
         yield Line("wet end: intervals hold", percents([holds], 0), "≥ 92 %", holds >= HOLD)

@@ -34,7 +34,9 @@ AXLES: Final = len(PARAMETERS) // 2
 class SoilFieldTuning:
     """What is thought possible of a field."""
 
-    sds: tuple[float, ...] = tuned((0.05, 0.15, 0.25, 0.4, 0.6), "1", "of a stiffness' logarithm over the field")
+    sds: tuple[float, ...] = tuned(
+        (0.05, 0.15, 0.25, 0.4, 0.6), "1", "of a stiffness' logarithm over the field"
+    )
     lengths_m: tuple[float, ...] = tuned((10.0, 30.0, 100.0), "m", "over which soil is alike")
     common: float = tuned(0.8, "1", "share of the variance that all axles have in common")
     changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")
@@ -258,16 +260,14 @@ class SoilMemory:
         }
         found, logs = [], []
         for one in self.variograms:
-            root = np.linalg.cholesky(fixed + one.sd**2 * within[one[1:]])
+            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one[1:]]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
             logs.append(-0.5 * distance - float(np.sum(np.log(np.diag(root)))))
             found.append(_Hypothesis(one, 0.0, root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0
-        return [
-            h._replace(weight=w) for h, w in zip(found, (weights / weights.sum()).tolist(), strict=True)
-        ]
+        return [h._replace(weight=w) for h, w in zip(found, (weights / weights.sum()).tolist(), strict=True)]
 
     @cached_property
     def _kinds(self) -> dict[tuple[float, Callable[[Array, float], Array]], Variogram]:

@@ -162,7 +162,9 @@ def main() -> None:
     """Print the tables of the study, or one of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--figure", type=Path, help="write the figure here")
-    parser.add_argument("--part", choices=("main", "known", "wrong", "doubt", "patches"), help="only this table")
+    parser.add_argument(
+        "--part", choices=("main", "known", "wrong", "doubt", "patches"), help="only this table"
+    )
     args = parser.parse_args()
     machine = packaged()
     if args.part == "doubt":

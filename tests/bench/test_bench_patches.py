@@ -58,7 +58,9 @@ def test_the_oracle_knows_the_covariance_that_a_field_was_drawn_with() -> None:
     rng, rig, states = np.random.default_rng(0), rig_of(demo_machine()), np.zeros((2, 13))
     states[1, :2] = 9.0, 12.0
     axles = ground.axles_of(rig, states)
-    apart = (axles[:, :, None, None, None, None] - axles[None, None, None, :, :, None]).transpose(6, *range(6))
+    apart = (axles[:, :, None, None, None, None] - axles[None, None, None, :, :, None]).transpose(
+        6, *range(6)
+    )
     told = patches.variogram(soil, 100.0).correlation(apart, 0.0)
     drawn = (ground.field(soil, dict.fromkeys(PARAMETERS, 1.0), rig, rng) for _ in range(2000))
     logs = [np.log(field.at(0.0, states))[:, :3].ravel() for field in drawn]
