@@ -12,32 +12,34 @@ the same windows, with the covariance that the field was drawn with in place of 
 the same drives have neither patches nor a wet end.
 """
 
-import argparse
 import math
-import os
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, Final
 
 import estimation_runs
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, followed
-from estimation_table import Bench, Line, Row, Z, figures, percents, table_of
+from estimation_table import (
+    Bench,
+    Line,
+    Row,
+    Z,
+    drives_asked,
+    drives_parser,
+    figures,
+    percents,
+    print_rows,
+)  # fmt: skip
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress, TimeElapsedColumn
 from scipy.special import j0
 
 from tilth.estimator import fold
 from tilth.estimator.filters.soil_field import AXLES, SoilMemory, Variogram, over_paths
 from tilth.estimator.models.nonlinear import STATES
-from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import Estimate
 from tilth.simulator.drive import drive
 from tilth.simulator.ground import PATCH_BAND, axles_of, share
@@ -190,16 +192,11 @@ def name_of(one_soil: bool) -> str:
     return f"{NAME}, one soil" if one_soil else NAME
 
 
-def kept(first: int, one_soil: bool, bench: Bench) -> dict[int, Result]:
-    """Fields that a file has, as spatial_rows.kept."""
-    made = spatial_rows.kept(bench, name_of(one_soil))
-    return {seed: one for seed, one in made.items() if one["first"] == first}
-
-
 def row(first: int, one_soil: bool, bench: Bench) -> list[Line]:
     """The lines of the table; fields that a file has are not driven again."""
     run = partial(follow, first, bench.scale, one_soil)
-    return lines_of(bench.each(run, 8, kept(first, one_soil, bench), partial(spatial_rows.keep, bench)))
+    have = spatial_rows.kept(bench, name_of(one_soil), first)
+    return lines_of(bench.each(run, 8, have, partial(spatial_rows.keep, bench)))
 
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
@@ -283,34 +280,12 @@ def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterat
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=8, help="fields")
-    parser.add_argument("--first", type=int, default=0, help="number of the first field")
+    parser = drives_parser(__doc__, 8, "patches.jsonl", "fields")
     parser.add_argument("--minutes", type=float, default=12.0, help="of each drive")
     parser.add_argument("--one-soil", action="store_true", help="without patches and wet end")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--keep", type=Path, default=Path("patches.jsonl"), help="file of what is done")
-    parser.add_argument("--summary", action="store_true", help="only read what is there")
-    args = parser.parse_args()
-    if args.count < 1 or args.first < 0 or args.processes < 1 or not 0.0 < args.minutes <= 600.0:
-        parser.error("give a count, minutes and processes above zero, and no negative --first")
-    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
-    console = Console(width=None if Console().is_terminal else 150)
-    bench = Bench(args.count, kept=args.keep, scale=args.minutes)
-    began = time.perf_counter()
-    if args.summary:
-        lines = lines_of(list(kept(args.first, args.one_soil, bench).values()))
-    else:
-        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-        with (
-            ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
-            Progress(*columns, console=console, transient=True) as progress,
-        ):
-            lines = row(args.first, args.one_soil, replace(bench, pool=pool, progress=progress))
-    title = Row(name_of(args.one_soil), "≥ 92 % hold", partial(row, args.first, args.one_soil))
-    console.print(table_of(title, lines, f"{time.perf_counter() - began:.0f} s"))
+    args = drives_asked(parser)
+    rows = [Row(name_of(args.one_soil), "≥ 92 % hold", partial(row, args.first, args.one_soil))]
+    print_rows(args, rows, args.minutes, 150)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, place
+from tilth.estimator.methods import open_tracker, place, rows, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -279,7 +279,8 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         return
     evidence = None
     if diagnosis.is_judged(state.aligner, pose):
-        evidence = open_tracker.observe(state.open, state.machine, segment)
+        believing = state.estimators[tracker.METHOD]
+        evidence = open_tracker.observe(state.open, state.machine, segment, believing)
     of_file = diagnosis.look_at_file(state.diagnosis, state.aligner, pose, evidence)
     _apply(state, of_file, t_ns, out)
     if of_file.withhold and segment is not None:
@@ -380,6 +381,8 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         if other.learn is not None and made is not None and method_state.job is not None:
             foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
             _publish_events(state, t_ns, other, out, foreseen=False)
+    if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
+        diagnosis.rows_tell(state.diagnosis, made.of_file, made.seconds)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _publish_events(state, t_ns, row, out, foreseen)
     _publish_estimates(state, t_ns, [estimate], out)

@@ -87,6 +87,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_tracker, learned.into_tracker),
         prepare=tracker.prepare,
         kernels=tracker.KERNELS,
+        learn=tracker.learn,
     ),
     Estimator(
         pem.METHOD,

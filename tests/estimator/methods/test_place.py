@@ -56,7 +56,7 @@ def fit_of(
     mean, prior_sd = state.prior_mean, state.prior_sd
     job = pem.Job(record.end_ns, record.end_ns, record, mean, np.diag(prior_sd**2))
     told = Told(information, information @ np.repeat([log, 0.0], 3), np.zeros(6))
-    return job, pem.Fit(mean, job.covariance, told, 0.0, 0.0, 0.0, 1, 9, changed, None)
+    return job, pem.Fit(mean, job.covariance, told, 0.0, 0.0, 0.0, 1, 9, changed, False, None)
 
 
 def fitted(state: PlaceState, t_ns: int, seconds: float, log: float, sd: float = 0.05) -> bool:
