@@ -141,7 +141,8 @@ class Watch:
             self._memory = SoilMemory(memory.windows, memory.prior_sd, [self._soil])
         at = self._run.seconds_of(estimate.t_ns)
         here = self._memory.at(memory.axles)
-        mean = memory.prior_mean[:6] + here.mean
+        number = [math.nan if one.value is None else 0.0 for one in estimate.parameters]
+        mean = memory.prior_mean[:6] + here.mean + number  # where the memory gives one
         self.told.append(np.concatenate([[at], mean, np.sqrt(np.diag(here.covariance))]))
         while len(self._into) > 1 and self._into[1] * STEP_S < at + AHEAD_S:
             now, there = round(at / STEP_S), self._into.pop(1)
@@ -199,14 +200,10 @@ def row(first: int, one_soil: bool, bench: Bench) -> list[Line]:
 
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
+    methods, places = (*METHODS, ORACLE), list(enumerate(WHERE))
     return [
-        *(
-            line
-            for method in METHODS
-            for k, where in enumerate(WHERE)
-            for line in _lines(made, method, where, k)
-        ),
-        *(line for k, where in enumerate(WHERE) for line in _scores(made, where, k)),
+        *(line for method in methods for k, where in places for line in _lines(made, method, where, k)),
+        *(line for k, where in places for line in _scores(made, where, k)),
         *_ahead(made),
         Line("soil_change was told, in each field", " ".join(str(len(one["changes"])) for one in made)),
     ]  # fmt: skip
@@ -219,8 +216,8 @@ def _ahead(made: Sequence[Result]) -> Iterator[Line]:
         half = float(np.median(Z * sd))
         yield Line(
             f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the "
-            "common factor; median error",
-            percents([half, float(np.median(error))], 0), "≤ 20 %", half <= AHEAD,
+            "common factor; median error", percents([half, float(np.median(error))], 0),
+            "≤ 20 %", half <= AHEAD,
         )  # fmt: skip
         holds = float(np.mean(error < Z * sd))
         yield Line("wet end: intervals hold", percents([holds], 0), "≥ 92 %", holds >= HOLD)

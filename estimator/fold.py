@@ -378,16 +378,15 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
-    foreseen, learners = False, [other for other in rows_for(state.machine) if other.learn is not None]
-    for other in learners if made is not None and method_state.job is not None else []:
-        if other.learn is not None:
+    foreseen = False
+    for other in rows_for(state.machine):
+        if other.learn is not None and made is not None and method_state.job is not None:
             foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
+            _publish_events(state, t_ns, other, out, foreseen=False)
     if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
         diagnosis.rows_tell(state.diagnosis, made.of_file, made.seconds)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _publish_events(state, t_ns, row, out, foreseen)
-    for other in learners:
-        _publish_events(state, t_ns, other, out, False)
     _publish_estimates(state, t_ns, [estimate], out)
     return out
 

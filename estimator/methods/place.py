@@ -24,7 +24,7 @@ from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
 from tilth.estimator.results.method_state import MethodState, SixState, is_due, step_clock
-from tilth.estimator.results.recommend import PATCHY
+from tilth.estimator.results.recommend import PATCHY, RECOMMENDATION
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
@@ -51,6 +51,7 @@ class PlaceTuning:
     turned: float = tuned(math.radians(120.0), "rad", "from the heading of a pass: the next one begins")
     known_sd: float = tuned(0.2, "1", "of the factor common to stiffnesses, with which a place is known")
     unexpected: float = tuned(1e-4, "1", "probability of what a window tells: the soil has changed in time")
+    doubted: float = tuned(1e-2, "1", "probability of it, if pem finds that the soil has changed")
 
 
 PLACE: Final = PlaceTuning()
@@ -139,7 +140,7 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
 
 def learn(state: PlaceState, job: Any, made: Any) -> bool:
     """Take what another method's fit has told. Returns whether a change of soil that it found was foreseen:
-    the place was known, and is as it was known."""
+    it is no more than the memory expected of the place."""
     if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
         return False
     method, records = (rows.METHOD, job.rows) if isinstance(made, rows.Fit) else (pem.METHOD, [job.record])
@@ -151,10 +152,10 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
     window = SoilWindow(method, begin_ns, state.passing, path, made.told, kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
-    unexpected = before.surprise(after) < PLACE.unexpected
-    foreseen = bool(kept) and not unexpected and _common_sd(before.at(path)) < PLACE.known_sd
-    if unexpected:
-        if not (isinstance(made, pem.Fit) and made.changed):  # else it is told by pem
+    likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
+    foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(before, path)
+    if likely < PLACE.unexpected:
+        if not of_pem:  # else it is told by pem
             state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
         after = SoilMemory([*kept, replace(window, epoch=window.epoch + 1)], state.prior_sd)
     state.windows, state.soil = list(after.windows), after
@@ -163,6 +164,11 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     state.informed_ns = job.closed_ns
     state.window_s += sum(len(record.ticks) for record in records) * DT
     return foreseen
+
+
+def _expects_change(soil: SoilMemory, path: Array) -> bool:
+    """Whether soil on this way is known, or is known to differ from place to place."""
+    return soil.patchy > RECOMMENDATION.patchy or _common_sd(soil.at(path)) < PLACE.known_sd
 
 
 def expects(state: PlaceState, logs: Array) -> bool:
