@@ -33,7 +33,7 @@ class RecommendationTuning:
     )
     patchy_windows: int = tuned(4, "windows", "from which that probability is believed")
     """By its prior it is 0.75 after one window; on soil that is the same everywhere two windows gave 0.95
-    and 0.96 in 2 of 24 drives, and numbers three times as wide as those of `pem`; further ones took it back."""
+    and 0.96 in 2 of 24 drives, and numbers three times as wide as `pem`'s; further ones took it back."""
     fresh_s: float = tuned(120.0, "s", "if the window of pem is older, tracker is better")
     disagree_above: Mapping[int, float] = tuned(
         {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5},
