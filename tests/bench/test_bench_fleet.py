@@ -13,6 +13,7 @@ import wrong_files
 from estimation_table import Bench
 from fleet_design import GROUNDS, MANOEUVRES, PLANTS, cell_of, scenario
 
+from tilth.estimator.diagnosis.open_numbers import HYPOTHESES
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import drawn
 from tilth.simulator.fleet_files import owners_text
@@ -107,8 +108,8 @@ def test_harm_of_wrong_files_is_counted_and_the_number_is_named() -> None:
     rows[1:, 1:7], rows[1:, 7:] = 0.41, 0.1
     rows[3, 1] = 0.1
     assert fleet._harm(rows, np.zeros(6)) == (24, 23)
-    wrong = {fleet.wrong_number(k)[0] for k in range(len(fleet.HYPOTHESES))}
-    assert len(wrong) == len(fleet.HYPOTHESES) and {"e", "m_t", "I_t"} <= wrong
+    wrong = {fleet.wrong_number(k)[0] for k in range(len(HYPOTHESES))}
+    assert len(wrong) == len(HYPOTHESES) and {"e", "m_t", "I_t"} <= wrong
     machine = parse_machine(owners_text(drawn(4)))
     for number in range(len(wrong)):
         assert fleet._with_wrong_number(machine, number) != machine
