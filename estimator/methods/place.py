@@ -24,7 +24,7 @@ from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
 from tilth.estimator.results.method_state import MethodState, SixState, is_due, step_clock
-from tilth.estimator.results.recommend import PATCHY, RECOMMENDATION
+from tilth.estimator.results.recommend import PATCHY, RECOMMENDATION, WINDOWS
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
@@ -242,7 +242,7 @@ def estimate_at(
         mean, covariance, state.prior_mean, state.prior_sd,
         informed_ns=state.informed_ns if of_place else 0, window_s=state.window_s, has_number=had,
     )  # fmt: skip
-    excitation = {"windows": float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
+    excitation = {WINDOWS: float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
     made = six_parameter_estimate(
         learned, machine, t_ns, METHOD, covariance[SIX, SIX], Code.NOTHING_FITTED, excitation, None, None
     )

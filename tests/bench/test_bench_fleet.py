@@ -8,11 +8,15 @@ import calibration
 import fleet
 import numpy as np
 import pytest
+import spatial_rows
 import wrong_files
 from estimation_table import Bench
 from fleet_design import GROUNDS, MANOEUVRES, PLANTS, cell_of, scenario
 
+from tilth.estimator.diagnosis.open_numbers import HYPOTHESES
+from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import drawn
+from tilth.simulator.fleet_files import owners_text
 
 
 @pytest.mark.parametrize("first", [0, 17, 120])
@@ -86,6 +90,37 @@ def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.Monkey
     assert made["rig"] == 0 and {"pem", "tracker"} <= made["methods"].keys()
     monkeypatch.setattr(fleet, "drawn", None)
     fleet.row(0, bench)  # not driven again
+
+
+def test_what_is_there_of_a_run_that_was_stopped_is_read_of_its_own_rigs_only(tmp_path: Path) -> None:
+    bench = Bench(runs=60, kept=tmp_path / "kept.jsonl", only_kept=True)
+    for one in _made(1.0, 0.05, 7):
+        for first in (0, 100):
+            spatial_rows.keep(bench, one | {"first": first})
+    lines = {line.figure: line for line in fleet.row(0, bench)}
+    assert lines["pem C_af"].reached.split()[0].endswith("/7")
+    assert lines["recommended C_af: |ln|"].reached.endswith("of 7 hold")
+    assert lines["beyond 4 and 6 sds, all methods"].held
+
+
+def test_harm_of_wrong_files_is_counted_and_the_number_is_named() -> None:
+    rows = np.full((5, 13), np.nan)
+    rows[1:, 1:7], rows[1:, 7:] = 0.41, 0.1
+    rows[3, 1] = 0.1
+    assert fleet._harm(rows, np.zeros(6)) == (24, 23)
+    wrong = {fleet.wrong_number(k)[0] for k in range(len(HYPOTHESES))}
+    assert len(wrong) == len(HYPOTHESES) and {"e", "m_t", "I_t"} <= wrong
+    machine = parse_machine(owners_text(drawn(4)))
+    for number in range(len(wrong)):
+        assert fleet._with_wrong_number(machine, number) != machine
+    made = _made(1.0, 0.05, 2)
+    for one in made:
+        one |= {"wrong": ["e", 0.3], "contradictions": []}
+        for said in one["methods"].values():
+            said["harm"] = [1000, 3]
+    (pem,) = (line for line in fleet.lines_of_wrong(made) if line.figure.startswith("pem"))
+    assert pem.reached == "6 of 2000" and pem.held is False
+    assert "e off by +0.3" in fleet.lines_of_wrong(made)[-1].figure
 
 
 def test_a_number_that_is_withdrawn_is_judged_as_it_was_given_last() -> None:
