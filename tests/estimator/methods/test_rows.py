@@ -16,7 +16,9 @@ from tilth.analysis.runs.run import open_runs
 from tilth.cli.replay import _table
 from tilth.client.received import estimate_of
 from tilth.estimator import fold
+from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
+from tilth.estimator.methods.open_tracker import from_file, opened
 from tilth.estimator.methods.rows import Fit, Job, RowsState
 from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.state_json import from_json_data, to_json_data
@@ -97,6 +99,28 @@ def test_a_fit_of_rows_is_recommended_at_once_where_turns_told_nothing() -> None
         assert best.parameters[0].value == own.parameters[0].value
         assert (best.parameters[0].value is not None) == confirmed
         assert best.rule == Reason(Code.ROWS_ALONE if confirmed else Code.NO_METHOD, ("rows",) * confirmed)
+
+
+@pytest.mark.parametrize(("e_off", "given"), [(0.0, True), (0.1, True), (3.0, False)])
+def test_rows_alone_confirm_a_file_that_they_find_right(e_off: float, given: bool) -> None:
+    """Without a turn, by what they find with its numbers open; e is that much longer than the file says."""
+    state = fold.initial(MACHINE)
+    rows_state, consistency = state.estimators[rows.METHOD], state.diagnosis.consistency
+    t_ns = drive(rows_state, 121.0)
+    job = rows.request_fit(rows_state, t_ns)
+    assert job is not None
+    off, sd = np.zeros(len(rows_state.mean)), 0.1 * opened(rows_state.prior_sd)
+    off[AT["e"]], covariance = e_off, np.diag(sd**2)
+    covariance[AT["C_ai"], AT["e"]] = covariance[AT["e"], AT["C_ai"]] = 0.5 * sd[AT["C_ai"]] * sd[AT["e"]]
+    consistency.rates_known = True
+    made = result(rows_state, job, mean=job.mean, of_file=from_file(off, covariance, MACHINE))
+    own, best = (p.value for p in fold.adopt(state, t_ns, rows.METHOD, made) if isinstance(p.value, Estimate))
+    assert (own.parameters[0].value is not None) == given == consistency.confirmed
+    assert not consistency.judged and best.rule is not None
+    if given:
+        assert best.rule.code is Code.ROWS_ALONE
+        added = np.reshape(own.log_covariance, (6, 6)) - rows.published_covariance(rows_state)
+        assert added[2, 2] > 5.0 * added[0, 0] >= 0.0
 
 
 @pytest.mark.parametrize("lost", ["dropped", "refused"])
