@@ -83,6 +83,7 @@ class Fit:
     steps: int
     cost: float
     changed: bool  # the block contradicted what was known
+    tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
     told: Told | None = None  # what the block alone tells of the six
     of_file: Misfit | None = None  # what all rows so far tell of the machine file
@@ -147,24 +148,26 @@ def fit(machine: Machine, job: Job) -> Fit:
     found, changed = _posterior(machine, job, job.mean, job.covariance), False
     if found is None:
         return Fit(
-            job.mean, job.covariance, 0.0, 0.0, 0.0, 0, 0.0, False, Code.OUTPUTS_NOT_MEASURED
+            job.mean, job.covariance, 0.0, 0.0, 0.0, 0, 0.0, False, False, Code.OUTPUTS_NOT_MEASURED
         )  # fmt: skip
     known, start = job.covariance, job.mean
     before, after = known[SIX, SIX], found.covariance[SIX, SIX]
-    if pem.contradiction((found.mean - job.mean)[SIX], before, after, np.full(6, TUNING.model_sd)) > (
-        TUNING.change_chi_square
-    ):
+    moved, errors = (found.mean - job.mean)[SIX], np.full(6, TUNING.model_sd)
+    chi_square = pem.contradiction(moved, before, after, errors)
+    if chi_square > TUNING.change_chi_square:
         start, known = pem.of_other_tyres(job.mean, job.covariance, prior_mean, prior_sd)
         changed = True
         found = _posterior(machine, job, start, known) or found
     own = float(found.wheel_rms * np.sqrt(found.own_share))
     little = own < TUNING.least_rms or found.own_share < TUNING.least_share
+    shares = (own, TUNING.least_rms), (found.own_share, TUNING.least_share)
+    tie = fitted.is_tie((chi_square, TUNING.change_chi_square), *shares)
     refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
     alone = None if refused else _told(start, known, found, (prior_mean, prior_sd))
     of_file = None if refused else _of_file(machine, found)
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
-        refused, alone, of_file,
+        tie, refused, alone, of_file,
     )  # fmt: skip
 
 
@@ -179,7 +182,7 @@ def _of_file(machine: Machine, found: row_fit.RowPosterior) -> Misfit:
     covariance = np.diag(wide**2)
     covariance[at] = np.linalg.inv(information + np.diag(wide[active] ** -2.0))
     off[active] += covariance[at] @ (narrow - np.diag(wide[active] ** -2.0)) @ off[active]
-    return open_tracker.from_file(off, covariance, machine)
+    return open_tracker.from_file(off, covariance, found.covariance, machine)
 
 
 def _added(before: Array, after: Array) -> Array:

@@ -51,7 +51,7 @@ def drive(state: RowsState, seconds: float, t_ns: int = START) -> int:
 
 def result(state: RowsState, job: Job, **changed: Any) -> Fit:
     covariance = 0.01 * job.covariance
-    made = Fit(job.mean + 0.1, covariance, 0.9, math.radians(0.5), 110.0, 5, -6.0, False, None)
+    made = Fit(job.mean + 0.1, covariance, 0.9, math.radians(0.5), 110.0, 5, -6.0, False, False, None)
     return replace(made, **changed)
 
 
@@ -109,11 +109,14 @@ def test_rows_alone_have_numbers_with_a_file_that_they_find_right(e_off: float, 
     t_ns = drive(rows_state, 121.0)
     job = rows.request_fit(rows_state, t_ns)
     assert job is not None
-    off, sd = np.zeros(len(rows_state.mean)), 0.1 * opened(rows_state.prior_sd)
-    off[AT["e"]], covariance = e_off, np.diag(sd**2)
-    covariance[AT["C_ai"], AT["e"]] = covariance[AT["e"], AT["C_ai"]] = 0.5 * sd[AT["C_ai"]] * sd[AT["e"]]
+    off, found = np.zeros(len(rows_state.mean)), []
+    off[AT["e"]] = e_off
+    for sd in (opened(rows_state.prior_sd), rows_state.prior_sd):
+        covariance, both = np.diag((0.1 * sd) ** 2), (AT["C_ai"], AT["e"])
+        covariance[both] = covariance[both[::-1]] = 0.005 * sd[both[0]] * sd[both[1]]
+        found.append(covariance)
     consistency.rates_known = True
-    made = result(rows_state, job, mean=job.mean, of_file=from_file(off, covariance, MACHINE))
+    made = result(rows_state, job, mean=job.mean, of_file=from_file(off, *found, MACHINE))
     own, best = (p.value for p in fold.adopt(state, t_ns, rows.METHOD, made) if isinstance(p.value, Estimate))
     assert (own.parameters[0].value is not None) == given and best.rule is not None
     assert not consistency.judged and not consistency.confirmed
