@@ -384,7 +384,7 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
             foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
             _publish_events(state, t_ns, other, out, foreseen=False)
     if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
-        diagnosis.rows_tell(state.diagnosis, made.of_file, made.seconds)
+        diagnosis.fit_tells(state.diagnosis, method, made.of_file, made.seconds)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _publish_events(state, t_ns, row, out, foreseen)
     _publish_estimates(state, t_ns, [estimate], out)

@@ -22,7 +22,6 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
-from tilth.estimator.results.recommend import ROWS
 from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.tuning import tuned
@@ -85,7 +84,7 @@ class Consistency:
     confirmed: bool = False  # no error of the file that driving has not excluded would matter
     judged: bool = False  # it is known what such errors add
     widening: Widening = field(default_factory=Widening)
-    by_rows: Widening | None = None  # the same of the numbers of ROWS, which rows tell without a turn
+    own: dict[str, Widening] = field(default_factory=dict)  # method -> the same of its numbers, by its fit
     given: dict[str, list[bool]] = field(default_factory=dict)  # method -> which of the six had a number
     was_confirmed: bool = False  # at some time of this run
     pairs_known: bool = (
@@ -150,10 +149,10 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     if why := contradictions(state) or state.methods.get(estimate.method, []):
         reason = Reason(Code.CONTRADICTED, because=tuple(one.reason for one in why))
         return _without_numbers(estimate, Status.INVALID, reason)
-    by_rows = state.by_rows if estimate.method == ROWS and _sensors_known(state) else None
-    if not state.judged and not state.confirmed and by_rows is None:
+    own = state.own.get(estimate.method) if _sensors_known(state) else None
+    if not state.judged and not state.confirmed and own is None:
         return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
-    return widened(by_rows or state.widening, estimate, state.given.get(estimate.method, ()))
+    return widened(own or state.widening, estimate, state.given.get(estimate.method, ()))
 
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
@@ -166,15 +165,13 @@ def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Esti
     )
 
 
-def rows_tell(state: Consistency, evidence: OpenEvidence) -> None:
-    """Take what a fit of straight rows has found of the file. Where it does not fit, turns are to judge."""
+def fit_tells(state: Consistency, method: str, evidence: OpenEvidence) -> None:
+    """Take what a method's fit has found of the file, for its own numbers. It confirms nothing: of errors as
+    large as 0.5 m or 30 % a row's tyres can make up for more than its slopes tell."""
     if contradictions(state) or not _fits(evidence, CONSISTENCY.ends):
-        state.by_rows = None
-        return
-    state.by_rows = widening_of(evidence)
-    if not state.judged:
-        state.widening = state.by_rows
-    state.confirmed |= state.by_rows.confirms and _sensors_known(state)
+        state.own.pop(method, None)
+    else:
+        state.own[method] = widening_of(evidence)
 
 
 def _sensors_known(state: Consistency) -> bool:
@@ -198,7 +195,7 @@ def discard_findings(state: Consistency, confirmed: bool = False) -> None:
         key: case for key, case in state.cases.items() if case.latest.code not in OF_OPEN_NUMBERS
     }  # fmt: skip
     state.methods, state.confirmed, state.judged = {}, confirmed, confirmed
-    state.by_rows = state.by_rows if confirmed else None
+    state.own = state.own if confirmed else {}
 
 
 def left_out(state: Consistency) -> None:
@@ -290,7 +287,7 @@ def _update(
             evidence = _restart_open(state, directive, evidence)
             del state.cases[key]
             continue
-        state.confirmed, state.judged, state.by_rows = False, False, None
+        state.confirmed, state.judged, state.own = False, False, {}
         directive.events.append((CONTRADICTION, reasoned(one.reason, NoticeCode.CONTRADICTED)))
     for key, case in list(state.cases.items()):
         if key in found or not case.missing(CONSISTENCY.poses_to_end):

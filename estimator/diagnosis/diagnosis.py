@@ -104,10 +104,10 @@ def look_at_file(
     return consistency.observe(state.consistency, aligner, state.checks, pose, moved, evidence)
 
 
-def rows_tell(state: RigDiagnosis, misfit: Misfit, seconds: float) -> None:
-    """Take what a fit of straight rows has found of the file. seconds: of rows."""
+def fit_tells(state: RigDiagnosis, method: str, misfit: Misfit, seconds: float) -> None:
+    """Take what a method's fit has found of the file. seconds: of driving that it is of."""
     evidence = OpenEvidence(misfit, misfit, round(seconds / SEGMENT_S), 0.0, rough=False)
-    consistency.rows_tell(state.consistency, evidence)
+    consistency.fit_tells(state.consistency, method, evidence)
 
 
 def soil_changed(state: RigDiagnosis) -> Directive:

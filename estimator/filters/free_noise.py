@@ -103,15 +103,18 @@ def gradient_and_information(noise: FreeNoise, stretches: Sequence[Array]) -> tu
     """
     order, outputs, unknowns = noise.order, stretches[0].shape[1], stretches[0].shape[2]
     weight = np.linalg.cholesky(np.linalg.inv(noise.covariance))
-    # Of psi, weighted: rows of the past of one unknown after the other.
-    now = np.concatenate([S[order:] for S in stretches])
-    psi = np.empty((unknowns, len(now), outputs))
-    for j in range(unknowns):
-        past = lagged([S[:, :, j] for S in stretches], order)
-        psi[j] = (now[:, :, j] - past @ noise.coefficients) @ weight
+    of_lag = noise.coefficients.reshape(order, outputs, outputs)
+    parts = []
+    for S in stretches:
+        each = np.ascontiguousarray(S.transpose(2, 0, 1))
+        white = each[:, order:].copy()
+        for j, coefficients in enumerate(of_lag, start=1):
+            white -= each[:, order - j : each.shape[1] - j] @ coefficients
+        parts.append(white @ weight)
+    psi = np.concatenate(parts, axis=1)  # (a, n, c)
     gradient = np.tensordot(psi, noise.rest @ weight, axes=2)
     flat = psi.reshape(unknowns, -1)
-    shared = noise.past.T @ psi.transpose(1, 0, 2).reshape(len(now), -1)
+    shared = noise.past.T @ psi.transpose(1, 0, 2).reshape(len(noise.rest), -1)
     seen = noise.inverse @ shared
     explained = seen.reshape(len(seen), unknowns, outputs).transpose(1, 0, 2).reshape(unknowns, -1)
     return gradient, flat @ flat.T - explained @ explained.T

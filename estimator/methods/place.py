@@ -45,6 +45,7 @@ class PlaceTuning:
 
     most_windows: int = tuned(32, "stretches", "that are kept; beyond, the two that are nearest become one")
     track_ns: int = tuned(2_000_000_000, "ns", "between two places of the way that is kept")
+    lead_ns: int = tuned(10_000_000_000, "ns", "at the end of a row, which a window of the turn may have too")
     track: int = tuned(
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
     )
@@ -149,6 +150,8 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
         return False
     begin_ns = records[0].t_ns
     kept = [w for w in state.windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
+    if method == rows.METHOD:  # a second of driving informs the six once: in a row by this method
+        kept = [w for w in kept if w.method == method or not _begins_in(w, records)]
     before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
     window = SoilWindow(method, begin_ns, state.passing, path, made.told, kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
@@ -193,6 +196,12 @@ def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
     found = np.linalg.inv(window.told.information + weak)
     variances = np.diag(found) + np.diag(expected.covariance)
     return pem.soil_changed(found @ window.told.vector - expected.mean, np.sqrt(variances))
+
+
+def _begins_in(window: SoilWindow, records: Sequence[Record]) -> bool:
+    """Whether it is of the driving in these rows, and not of the turn behind one, whose windows begin before
+    the wheels turn."""
+    return any(r.t_ns <= window.begin_ns < r.end_ns - PLACE.lead_ns for r in records)
 
 
 def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:

@@ -27,7 +27,7 @@ class RowTuning:
     """Steering corrections are less than 2 degrees; at 4 the response is in proportion to 1 %."""
     largest_turn: float = tuned(math.radians(6.0), "rad", "by which headings may leave the row's first one")
     folded: float = tuned(math.radians(5.0), "rad", "largest articulation in a row")
-    shortest_s: float = tuned(40.0, "s", "of a row; in the first 10 the filter finds its state")
+    shortest_s: float = tuned(20.0, "s", "of a row; in the first 5 the filter finds its state")
     fitted_at_s: tuple[float, ...] = tuned((120.0, 300.0, 600.0), "s", "of rows in a block; the last ends it")
 
 

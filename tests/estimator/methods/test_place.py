@@ -13,7 +13,7 @@ from tilth.client.received import estimate_of
 from tilth.estimator import fold
 from tilth.estimator.filters import soil_field
 from tilth.estimator.filters.soil_field import Told
-from tilth.estimator.methods import pem, place
+from tilth.estimator.methods import pem, place, rows
 from tilth.estimator.methods.place import PLACE, PlaceState
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
@@ -118,6 +118,20 @@ def test_a_block_that_is_fitted_again_counts_once() -> None:
     fitted(state, 10 * S, 10.0, 0.1)
     assert len(state.windows) == 1
     assert sds(place.estimate(state, MACHINE, 30 * S)) == pytest.approx(sds(once))
+
+
+@pytest.mark.parametrize(("begins_s", "left"), [(-5.0, 2), (0.0, 1), (60.0, 1), (115.0, 2)])
+def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left: int) -> None:
+    """What pem told of the same driving goes; of turns before and after it stays."""
+    state = place.initial(MACHINE)
+    row = Record(20 * S, np.zeros((6000, 8)))
+    drive(state, 10 * S, 0.0, metres=600.0)
+    fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
+    mean, known = state.prior_mean, np.diag(state.prior_sd**2)
+    told = Told(100.0 * np.eye(6), np.zeros(6), np.zeros(6))
+    job = rows.Job(row.end_ns, row.end_ns, [row], False, mean, known)
+    place.learn(state, job, rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told))
+    assert len(state.windows) == left and state.windows[-1].method == rows.METHOD
 
 
 def test_it_is_bounded_and_the_nearest_become_one() -> None:

@@ -16,7 +16,9 @@ from tilth.analysis.runs.run import open_runs
 from tilth.cli.replay import _table
 from tilth.client.received import estimate_of
 from tilth.estimator import fold
+from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
+from tilth.estimator.methods.open_tracker import from_file, opened
 from tilth.estimator.methods.rows import Fit, Job, RowsState
 from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.state_json import from_json_data, to_json_data
@@ -99,6 +101,31 @@ def test_a_fit_of_rows_is_recommended_at_once_where_turns_told_nothing() -> None
         assert best.rule == Reason(Code.ROWS_ALONE if confirmed else Code.NO_METHOD, ("rows",) * confirmed)
 
 
+@pytest.mark.parametrize(("e_off", "given"), [(0.0, True), (0.1, True), (3.0, False)])
+def test_rows_alone_have_numbers_with_a_file_that_they_find_right(e_off: float, given: bool) -> None:
+    """Without a turn, by what they find with its numbers open; e is that much longer than the file says."""
+    state = fold.initial(MACHINE)
+    rows_state, consistency = state.estimators[rows.METHOD], state.diagnosis.consistency
+    t_ns = drive(rows_state, 121.0)
+    job = rows.request_fit(rows_state, t_ns)
+    assert job is not None
+    off, found = np.zeros(len(rows_state.mean)), []
+    off[AT["e"]] = e_off
+    for sd in (opened(rows_state.prior_sd), rows_state.prior_sd):
+        covariance, both = np.diag((0.1 * sd) ** 2), (AT["C_ai"], AT["e"])
+        covariance[both] = covariance[both[::-1]] = 0.005 * sd[both[0]] * sd[both[1]]
+        found.append(covariance)
+    consistency.rates_known = True
+    made = result(rows_state, job, mean=job.mean, of_file=from_file(off, *found, MACHINE))
+    own, best = (p.value for p in fold.adopt(state, t_ns, rows.METHOD, made) if isinstance(p.value, Estimate))
+    assert (own.parameters[0].value is not None) == given and best.rule is not None
+    assert not consistency.judged and not consistency.confirmed
+    if given:
+        assert best.rule.code is Code.ROWS_ALONE
+        added = np.reshape(own.log_covariance, (6, 6)) - rows.published_covariance(rows_state)
+        assert added[2, 2] > 5.0 * added[0, 0] >= 0.0
+
+
 @pytest.mark.parametrize("lost", ["dropped", "refused"])
 def test_what_a_full_block_told_earlier_stays_if_its_last_fit_is_lost(lost: str) -> None:
     state = rows.initial(MACHINE)
@@ -177,4 +204,4 @@ def test_two_minutes_of_given_rows_tell_the_six() -> None:
     sds = np.sqrt(np.diag(found.covariance))[:6]
     off = found.mean[:6] - np.log([truth[name] for name in PARAMETERS])
     assert found.refused is None and found.own_share > 0.9
-    assert np.all(np.abs(off) < 2.5 * sds) and np.all(sds < (0.2, 0.3, 0.3, 0.3, 0.3, 0.5))
+    assert np.all(np.abs(off) < 2.5 * sds) and np.all(sds < (0.2, 0.3, 0.35, 0.3, 0.35, 0.5))
