@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, Self
 import zenoh
 
 from tilth.client.latest import Latest, Linear, Staleness, judge, linear
-from tilth.client.link import ENDING_S, ENDPOINT, Link, base_key, open_session
+from tilth.client.link import ENDPOINT, Link, base_key, open_session
 from tilth.client.received import HeardRig, Refused, answered_age, estimate_of, event_of, rig_of_message
 from tilth.schemas.flow import Estimate, Event, EventKind
 
@@ -27,6 +27,7 @@ SIMULATED: Final = (
 WAITING: Final = 256  # calls that may wait for a slow callback; further ones are dropped and counted
 _DRIFT: Final = 1e-4  # of two computers' clocks against each other, at most
 _ANOTHER_CLOCK_S: Final = 60.0  # no connection holds a message back so long and lives
+_ENDING_S: Final = 1.0  # longest wait for a callback that was told to end
 _LOGGER: Final = logging.getLogger(__name__)
 
 
@@ -171,7 +172,7 @@ class Client:
             self._calls.get_nowait()
         self._calls.put(None)
         if threading.current_thread() is not self._caller:
-            self._caller.join(ENDING_S)
+            self._caller.join(_ENDING_S)
 
     def __enter__(self) -> Self:
         return self

@@ -20,7 +20,7 @@ ENDPOINT: Final = "tcp/127.0.0.1:7447"
 _ENDPOINT: Final = re.compile(r"[a-z-]+/.")
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]+")
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2.0}
-ENDING_S: Final = 1.0  # longest wait for a thread that was told to end
+_ENDING_S: Final = 10.0  # longest wait for a thread whose session was closed; on a busy computer not at once
 _LOGGER: Final = logging.getLogger(__name__)
 
 T = TypeVar("T")
@@ -74,6 +74,7 @@ class Link:
         self.session = session
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
+        self._closed = False
         atexit.register(self.close)  # before Python is taken down under its threads
 
     def hear(self, come: Iterable[T], take: Callable[[T], None]) -> None:
@@ -83,17 +84,23 @@ class Link:
         """
         thread = threading.Thread(target=_take_each, args=(come, take), name="tilth.hear", daemon=True)
         with self._lock:
+            if self._closed:  # nobody would wait for a thread that begins now
+                return
             self._threads = [*filter(threading.Thread.is_alive, self._threads), thread]
             thread.start()
 
     def close(self) -> None:
-        """Close the session, which ends its threads; wait for them, but not for the caller's own."""
+        """Close the session, which ends its threads; wait for them, but not for the caller's own.
+
+        A thread that is within Zenoh while Python is taken down would take the whole process with it.
+        """
         atexit.unregister(self.close)
-        self.session.close()
         with self._lock:
+            self._closed = True
             threads = [thread for thread in self._threads if thread is not threading.current_thread()]
+        self.session.close()
         for thread in threads:
-            thread.join(ENDING_S)
+            thread.join(_ENDING_S)
 
 
 def _take_each(come: Iterable[T], take: Callable[[T], None]) -> None:
