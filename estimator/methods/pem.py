@@ -94,6 +94,7 @@ class Fit:
     iterations: int
     rows: int
     changed: bool  # the window contradicted what was known
+    tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
     contrast: Contrast = field(default_factory=Contrast)  # of the windows so far, with this one if it is used
 
@@ -186,16 +187,19 @@ def fit(machine: Machine, job: Job) -> Fit:
     mean, covariance = job.mean, job.covariance
     found = _posterior(job.record, setup, mean, covariance, prior_mean)
     change = found.mean[SIX] - mean[SIX]
-    chi_square, changed = 0.0, False
+    chi_square, changed, tie = 0.0, False, False
     if np.all(np.isfinite(found.covariance)):
         errors = fit_covariance.model_sd_of(job.record, found.mean)
         after = found.covariance[SIX, SIX] - np.diag(errors**2)
         chi_square = contradiction(change, covariance[SIX, SIX], after, errors)
+        tie = fitted.is_tie((chi_square, PEM.suspect_chi_square))
     if chi_square > PEM.suspect_chi_square:
         mean, covariance = of_other_tyres(mean, covariance, prior_mean, prior_sd)
         anew = _posterior(job.record, setup, mean, covariance)
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
         changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
+        tie |= chi_square <= PEM.change_chi_square and fitted.is_tie((ratio, PEM.change_ratio))
+        tie |= ratio <= PEM.change_ratio and fitted.is_tie((chi_square, PEM.change_chi_square))
         found = scoring.with_gain(anew, found.gain) if changed else found
     refused = refusal(found, prior_mean, prior_sd)
     alone, contrast, prior = None, job.contrast, (prior_mean, prior_sd)
@@ -206,7 +210,7 @@ def fit(machine: Machine, job: Job) -> Fit:
         alone = _told(job.record, mean, covariance, found, prior, contrast.excess)
     return Fit(
         found.mean, found.covariance, alone, found.gain, found.whiteness, found.cost,
-        found.iterations, found.rows, changed, refused, contrast,
+        found.iterations, found.rows, changed, tie, refused, contrast,
     )  # fmt: skip
 
 
@@ -357,9 +361,12 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
 
 
 def _soil_changed(job: Job, made: Fit) -> Notice:
-    """The factors that are known, with their intervals."""
-    logs = made.mean[SIX] - job.mean[SIX]
-    sds = np.sqrt(np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX])
+    variances = np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX]
+    return soil_changed(made.mean[SIX] - job.mean[SIX], np.sqrt(variances))
+
+
+def soil_changed(logs: Array, sds: Array) -> Notice:
+    """The factors by which the six have changed, of those that are known, with their intervals; (6,) each."""
     factors = [
         notice(NoticeCode.FACTOR, parameter=name, low=low, high=high)
         for name, log, sd in zip(PARAMETERS, logs.tolist(), sds.tolist(), strict=True)

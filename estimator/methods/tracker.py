@@ -414,15 +414,16 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
     state.changed_ns += by_ns if state.changed_ns else 0
 
 
-def learn(state: TrackerState, job: Any, made: Any) -> None:
+def learn(state: TrackerState, job: Any, made: Any) -> bool:
     """Take what a fit of `pem` has shown of the model of the ground, since this method has the same, and how
-    far the two differ. `pem` uses all of each window at once, and is rarely lost."""
-    if not isinstance(made, pem.Fit) or made.refused is not None:
-        return
-    state.excess, state.apart = made.contrast.excess, np.zeros(6)
-    if state.changed_ns <= job.record.t_ns:
-        by_chance = np.diag(reported_covariance(state) + made.covariance[SIX, SIX])
-        state.apart = np.sqrt(np.maximum((state.mean - made.mean)[SIX] ** 2 - by_chance, 0.0))
+    far the two differ: `pem` uses all of each window at once, and is rarely lost. A change of soil is not
+    foreseen here."""
+    if isinstance(made, pem.Fit) and made.refused is None:
+        state.excess, state.apart = made.contrast.excess, np.zeros(6)
+        if state.changed_ns <= job.record.t_ns:
+            by_chance = np.diag(reported_covariance(state) + made.covariance[SIX, SIX])
+            state.apart = np.sqrt(np.maximum((state.mean - made.mean)[SIX] ** 2 - by_chance, 0.0))
+    return False
 
 
 def reported_covariance(state: TrackerState) -> Array:

@@ -439,7 +439,7 @@ def test_what_the_model_of_the_ground_leaves_widens_what_is_published_and_not_th
     state, after, excess = pem.initial(MACHINE), pem.initial(MACHINE), np.linspace(0.0, 0.25, 6)
     state.covariance[SIX, SIX] = 1e-2 * np.eye(6)
     state.last = pem.Fit(
-        state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, None, Contrast(excess=excess)
+        state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, False, None, Contrast(excess=excess)
     )
     state.fits, state.informed_ns = 1, 1
     published = np.reshape(pem.estimate(state, MACHINE, 2).log_covariance, (6, 6))

@@ -320,7 +320,7 @@ def test_what_the_fits_show_of_the_model_of_the_ground_widens_this_method_too_an
     before = np.diag(tracker.reported_covariance(state))
     job = pem.Job(0, 0, Record(0, np.zeros((0, 8)), np.zeros((0, 6))), state.mean, state.covariance)
     made = pem.Fit(
-        state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, None, Contrast(excess=excess)
+        state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, False, None, Contrast(excess=excess)
     )
     state.mean = made.mean.copy()
     tracker.learn(state, job, made)
