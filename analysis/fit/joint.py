@@ -97,7 +97,7 @@ def linearise(
             common = point.copy()
             common[NOISE] = window.noise
             # Errors of the model in proportion are those of the common value, else the smaller ones win.
-            errors = fit_covariance.model_sd_of(window.record, common)
+            errors = np.hypot(fit_covariance.model_sd_of(window.record, common), fits[at].excess)
             around[at] = (*around[at], replace(one, gradient=gradient, model_sd=errors))
         told = around
         if k < MOST_STEPS // 2:

@@ -4,7 +4,7 @@ The same steps as in the fold: what a replay gives that holds this driving and n
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -44,6 +44,7 @@ class SegmentFit:
     metres: float  # driven since the last window
     refused: dict[Code, int]  # reason -> windows or stretches of 0.2 s of which pem learned nothing
     whiteness: float  # of the last fit: autocorrelation of its innovations
+    excess: Array = field(default_factory=lambda: np.zeros(6))  # as pem.excess
 
     @property
     def seconds(self) -> float:
@@ -62,7 +63,7 @@ def fit_segment(machine: Machine, driven: Sequence[Driven], methods: Sequence[st
     last = learned.last
     return SegmentFit(
         estimates, learned.mean, pem.drifted(learned), windows, learned.distance, dict(learned.refused),
-        last.whiteness if last else 0.0,
+        last.whiteness if last else 0.0, pem.excess(learned),
     )  # fmt: skip
 
 

@@ -142,6 +142,8 @@ class TrackerState(SixState):
     hard: float = 0.0  # integral of the squared lateral acceleration over it, m^2/s^3
     excess: Annotated[Array, Shape((6,))] = field(default_factory=lambda: np.zeros(6))
     """Sds of the six from what is wrong with the model of the ground, as `pem` has found."""
+    apart: Annotated[Array, Shape((6,))] = field(default_factory=lambda: np.zeros(6))
+    """Sds of the six by which it differed, beyond chance, from the last fit of `pem`."""
     changed_ns: int = 0
     restarts: int = 0
     advisor: Advisor = field(default_factory=Advisor)
@@ -397,6 +399,7 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
     state.changes += 1
     state.changed_ns = state.last_pose_ns
+    state.apart = np.zeros(6)  # of the soil before
     state.window_s = state.tight_s = state.hard = 0.0
     # That something has changed is known seconds before it is known what, and by how much.
     state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
@@ -412,10 +415,14 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
 
 
 def learn(state: TrackerState, job: Any, made: Any) -> bool:
-    """Take what a fit of `pem` has shown of the model of the ground: this method has the same. A change of
-    soil is not foreseen here."""
-    if isinstance(made, pem.Fit):
-        state.excess = made.contrast.excess
+    """Take what a fit of `pem` has shown of the model of the ground, since this method has the same, and how
+    far the two differ: `pem` uses all of each window at once, and is rarely lost. A change of soil is not
+    foreseen here."""
+    if isinstance(made, pem.Fit) and made.refused is None:
+        state.excess, state.apart = made.contrast.excess, np.zeros(6)
+        if state.changed_ns <= job.record.t_ns:
+            by_chance = np.diag(reported_covariance(state) + made.covariance[SIX, SIX])
+            state.apart = np.sqrt(np.maximum((state.mean - made.mean)[SIX] ** 2 - by_chance, 0.0))
     return False
 
 
@@ -434,7 +441,7 @@ def reported_covariance(state: TrackerState) -> Array:
         state.mean[SIX],
         fit_covariance.FIT_COVARIANCE.tracked_tight_sd,
     )
-    room = np.hypot(room, state.excess)
+    room = np.hypot(room, np.hypot(state.excess, state.apart))
     masses = of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2) + masses, np.float64)
 

@@ -18,7 +18,7 @@ from tilth.estimator import fold
 from tilth.estimator.diagnosis import consistency, findings, open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY, CONTRADICTION, Consistency
 from tilth.estimator.diagnosis.open_numbers import OpenEvidence
-from tilth.estimator.methods import open_tracker, tracker
+from tilth.estimator.methods import open_tracker, pem, tracker
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import NUMBER
@@ -56,12 +56,13 @@ STRANGERS = SHARED / "data" / "strangers"
 THREE_STEPS = replace(STEPS.scenario, ground=Ground())
 
 
-def run(machine: Machine, frames: list[Frame]) -> tuple[fold.State, list[Publication]]:
-    """Through the fold; no fit is ever ready."""
+def run(machine: Machine, frames: list[Frame], of: str = "") -> tuple[fold.State, list[Publication]]:
+    """Through the fold; no fit is ever ready, but those of one method at once."""
     state, out = fold.initial(machine), list[Publication]()
     for frame in frames:
-        for method, _, _ in fold.pending(state):
-            out += fold.adopt(state, frame.t_ns, method, None)
+        for method, job, _ in fold.pending(state):
+            made = pem.fit(machine, job) if method == of else None
+            out += fold.adopt(state, frame.t_ns, method, made)
         out += fold.step(state, frame)
         fold.request_fits(state, frame.t_ns)
     return state, out
@@ -149,7 +150,7 @@ def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
     machine = parse_machine((STRANGERS / f"{name}.toml").read_text(encoding="utf-8"))
     truth = json.loads((STRANGERS / f"{name}.truth.json").read_text(encoding="utf-8"))
     heard = list(log_frames(STRANGERS / f"{name}.log.gz"))
-    _, out = run(machine, heard)
+    _, out = run(machine, heard, pem.METHOD)
     times = [(t_ns - heard[0].t_ns) * 1e-9 for t_ns, e in given(out) if e.method == "tracker"]
     assert times[0] < 30.0 and times[-1] > (heard[-1].t_ns - heard[0].t_ns) * 1e-9 - 2.0
     last = [e for _, e in given(out) if e.method == "tracker"][-1]

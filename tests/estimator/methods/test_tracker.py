@@ -322,10 +322,18 @@ def test_what_the_fits_show_of_the_model_of_the_ground_widens_this_method_too_an
     made = pem.Fit(
         state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, False, None, Contrast(excess=excess)
     )
+    state.mean = made.mean.copy()
     tracker.learn(state, job, made)
     assert np.diag(tracker.reported_covariance(state)) - before == pytest.approx(excess**2, abs=1e-12)
     into_tracker(after, of_tracker(state))
     assert np.all(np.sqrt(np.diag(tracker.reported_covariance(after))) >= excess)
+    state.mean[0] += 0.8  # lost
+    tracker.learn(state, job, made)
+    assert 0.7 < math.sqrt(tracker.reported_covariance(state)[0, 0]) < 0.85
+    assert state.apart[1:] == pytest.approx(0.0)
+    state.changed_ns = 1  # while the window was driven
+    tracker.learn(state, job, made)
+    assert state.apart == pytest.approx(0.0)
 
 
 def test_what_tight_turns_told_stays_as_uncertain_in_the_next_run() -> None:
