@@ -241,7 +241,7 @@ def test_what_was_learned_belongs_to_one_rig(tmp_path: Path, old: str, new: str,
 @pytest.mark.parametrize(
     "change",
     [
-        lambda plain: {**plain, "format": 5},
+        lambda plain: {**plain, "format": warm_start_file.FORMAT + 1},
         lambda plain: {k: v for k, v in plain.items() if k != "sections"},
         lambda plain: {**plain, "methods": {"pem": {"mean": 5}}},
         lambda plain: {**plain, "methods": []},
