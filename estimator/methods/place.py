@@ -24,7 +24,7 @@ from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
 from tilth.estimator.results.method_state import MethodState, SixState, is_due, step_clock
-from tilth.estimator.results.recommend import PATCHY, RECOMMENDATION, WINDOWS
+from tilth.estimator.results.recommend import PATCHY, WINDOWS
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
@@ -50,6 +50,9 @@ class PlaceTuning:
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
     )
     turned: float = tuned(math.radians(120.0), "rad", "from the heading of a pass: the next one begins")
+    patchy: float = tuned(
+        0.95, "1", "probability of patches with which a change from place to place is no news"
+    )
     known_sd: float = tuned(0.2, "1", "of the factor common to stiffnesses, with which a place is known")
     unexpected: float = tuned(1e-4, "1", "probability of what a window tells: the soil has changed in time")
     doubted: float = tuned(1e-2, "1", "probability of it, if pem finds that the soil has changed")
@@ -171,7 +174,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
 
 def _expects_change(soil: SoilMemory, path: Array) -> bool:
     """Whether soil on this way is known, or is known to differ from place to place."""
-    return soil.patchy > RECOMMENDATION.patchy or _common_sd(soil.at(path)) < PLACE.known_sd
+    return soil.patchy > PLACE.patchy or _common_sd(soil.at(path)) < PLACE.known_sd
 
 
 def expects(state: PlaceState, logs: Array) -> bool:
