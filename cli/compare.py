@@ -1,4 +1,5 @@
-"""`tilth compare`: two logs, days, machine files or versions; what differs beyond chance."""
+"""`tilth compare`: two logs, days, machine files or versions; what differs beyond chance. Or "
+"published values."""
 
 import argparse
 import json
@@ -13,23 +14,46 @@ from rich.table import Table as RichTable
 
 from tilth.analysis.fit.compare import FitComparison, NotComparable, compare
 from tilth.analysis.fit.fitting import CannotFit, choose, fit_all
+from tilth.analysis.fit.published_values import (
+    BesidePublished,
+    PublishedEntry,
+    PublishedError,
+    beside,
+    own,
+    parsed,
+)
 from tilth.analysis.fit.result import FitAnswer, as_json
 from tilth.analysis.runs.nuisance_words import WORDS, nuisance_value
 from tilth.analysis.runs.run import open_runs
 from tilth.cli import WrongUse, say
 from tilth.cli.log_errors import log_errors
 from tilth.logger.machine_file import read_machine
-from tilth.schemas.spread import scale_of, unit_of
+from tilth.schemas.readable import reason_of
+from tilth.schemas.spread import of_parameter, scale_of, unit_of
 
 _say = partial(say, "compare")
 
+OWN = "published"  # as the second: the table that comes with tilth
+NO_FAULT = (
+    "Of another rig, on other soil and at other loads, so a difference is no fault of either. "
+    "Published sds are "
+    "as their authors give them."
+)
+
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = subparsers.add_parser("compare", help="what differs beyond chance between two logs or fits")
-    for name in ("first", "second"):
-        parser.add_argument(
-            name, type=Path, metavar=f"LOG|{name.upper()}.json", help="a log, or what `tilth fit --json` gave"
-        )
+    parser = subparsers.add_parser(
+        "compare",
+        help="what differs beyond chance between two logs or fits; or a fit beside published values",
+        epilog="exit status: 1 where two logs or fits differ beyond chance; 0 beside published values",
+    )
+    parser.add_argument(
+        "first", type=Path, metavar="LOG|FIRST.json", help="a log, or what `tilth fit --json` gave"
+    )
+    parser.add_argument(
+        "second", type=Path, metavar="LOG|SECOND.json|published|VALUES.toml",
+        help="the same; or `published`, the table that comes with tilth; or published values of your own",
+    )  # fmt: skip
     parser.add_argument(
         "--machine",
         action="append",
@@ -43,6 +67,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where something differs beyond chance."""
+    if str(args.second) == OWN or args.second.suffix == ".toml":
+        return _beside(args)
     if len(args.machine) > 2:
         raise WrongUse("--machine: give it once for both, or twice")
     machines = (args.machine * 2)[:2] if len(args.machine) == 1 else args.machine or [None, None]
@@ -60,6 +86,63 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(found)
     return int(found.differ)
+
+
+def _beside(args: argparse.Namespace) -> int:
+    """A fit beside published values."""
+    if len(args.machine) > 1:
+        raise WrongUse("--machine: one log is compared; give it once")
+    entries = _published(args.second)
+    try:
+        with log_errors():
+            answer = _answer(args.first, args.machine[0] if args.machine else None)
+    except CannotFit as error:
+        raise WrongUse(str(error)) from None
+    rows = [(entry, beside(answer, entry)) for entry in entries]
+    if args.json:
+        told = [
+            {"title": e.title, "source": e.source, "where": e.where, "parameters": [*map(asdict, r)]}
+            for e, r in rows
+        ]
+        print(json.dumps({"published": told}))
+    else:
+        _show_beside(rows)
+    return 0
+
+
+def _published(path: Path) -> tuple[PublishedEntry, ...]:
+    """Raises WrongUse."""
+    if str(path) == OWN:
+        return own()
+    try:
+        return parsed(path.read_text(encoding="utf-8-sig"))
+    except PublishedError as error:
+        raise WrongUse(f"{path}: {error}") from None
+    except UnicodeDecodeError:
+        raise WrongUse(f"{path}: not UTF-8 text") from None
+    except OSError as error:
+        raise WrongUse(f"{path}: cannot be read ({reason_of(error)})") from None
+
+
+def _show_beside(rows: list[tuple[PublishedEntry, tuple[BesidePublished, ...]]]) -> None:
+    console = Console(highlight=False)
+    for entry, found in rows:
+        table = RichTable(title=f"{entry.title} ({entry.where})", title_justify="left")
+        for heading in ("", "published, 95 %", "here, 95 %", "here over published", "sds apart"):
+            table.add_column(heading)
+        for one in found:
+            ours = of_parameter(one.name, one.ours, one.ours_sd, bare=True)
+            apart = "no sd" if one.apart is None else f"{one.apart:+.1f}"
+            name = f"{one.name}, {unit_of(one.name)}"
+            table.add_row(name, entry.told(one.name), ours, f"× {one.ratio:.2f}", apart)
+        if found:
+            console.print(table)
+        else:
+            console.print(f"{entry.title}: the fit has none of its numbers.")
+        for what in filter(None, (entry.rig, entry.load, entry.tyre, entry.soil, entry.how)):
+            console.print(f"  {what}", soft_wrap=True)
+        console.print(f"  {entry.source}\n", soft_wrap=True)
+    console.print(NO_FAULT)
 
 
 def _answer(path: Path, machine: Path | None) -> FitAnswer:

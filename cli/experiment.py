@@ -194,6 +194,8 @@ def _check(args: argparse.Namespace, resumes: bool) -> int:
     runs = "1 run" if len(drives) == 1 else f"{len(drives)} runs"
     seconds = sum(one.seconds for one in drives)
     print(f"{args.plan}: {runs}, {seconds:.0f} s between their marks, fit the rig and the field.")
+    if plan.predicted_for and not edited(plan):  # of a proposal, which was chosen with these limits in force
+        return 0
     for text in dict.fromkeys(_cut(plan, one.scheduled) for one in drives):
         if text:
             print(text)

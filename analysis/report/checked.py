@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from statistics import median
 from typing import Final
 
 from tilth.analysis.report.data import HeldOut, HeldOutCell, HeldOutSubset, TestFacts
@@ -17,11 +18,18 @@ from tilth.analysis.report.wording import NOTHING, listed, many, number, probabi
 
 MARK: Final = "held out"
 TESTS: Final = {
-    "WhitenessTest": "white (Ljung–Box)",
-    "InputTest": "independent of the wheel angle",
-    "SizeTest": "as large as the filter says",
+    "WhitenessTest": "one step ahead: white (Ljung–Box)",
+    "InputTest": "one step ahead: independent of the wheel angle",
+    "SizeTest": "one step ahead: as large as the filter says",
 }
 """Names of tests by the class that holds one."""
+ANOTHER_TEST: Final = (
+    "This is another test than the one under Frequency response. Here each measurement corrects the "
+    "prediction "
+    "of the next, so only what goes wrong within a step is seen. There nothing is corrected over a "
+    "whole drive, "
+    "with parameters of all segments together, so small errors add up. A model can pass here and fail there."
+)
 OUTPUTS: Final = {
     "yaw_rate": ("yaw rate", "°/s", math.degrees(1.0)),
     "velocity": ("velocity", "m/s", 1.0),
@@ -112,6 +120,43 @@ def _in_words(subsets: Sequence[HeldOutSubset]) -> list[Part]:
         ReportText(
             f"{many(len(known), 'prediction')} of drives that were not fitted; the tractor's is at worst "
             f"{number(worst_m, 2, 'm')} from the driven path (segment {run})."
+        ),
+        *_together_or_alone(subsets),
+    ]
+
+
+def _together_or_alone(subsets: Sequence[HeldOutSubset]) -> list[ReportText]:
+    """Why several segments together predict better or worse than one of them; nothing of less than three."""
+    runs = {str(cell["run"]) for subset in subsets for cell in subset["cells"]}
+    own, alone, together = list[float](), list[float](), list[float]()
+    for subset in subsets:
+        for cell in subset["cells"]:
+            if cell["tractor_m"] is None or not subset["fitted"]:
+                continue
+            if not cell["held_out"]:
+                own += [cell["tractor_m"]] if len(subset["fitted"]) == 1 else []
+            elif len(subset["fitted"]) == 1:
+                alone.append(cell["tractor_m"])
+            elif len(subset["fitted"]) == len(runs) - 1:
+                together.append(cell["tractor_m"])
+    if not (own and alone and together):
+        return []
+    one, rest = median(alone), median(together)
+    why = (
+        "what is special to one drive (its soil, the ground's pushes) averages out."
+        if rest < one
+        else "they are weighted by how well each tells the parameters, and where soil or load differ between "
+        "drives their mean is of none of them. See above whether the segments agree."
+    )
+    return [
+        ReportText(
+            f"Median distance of the tractor: {number(median(own), 2, 'm')} of a drive by its own fit, "
+            f"{number(one, 2, 'm')} by the fit of one other, {number(rest, 2, 'm')} by that of all others "
+            f"together. Together they predict {'better' if rest < one else 'no better'} than one "
+            f"alone: {why} A fit "
+            "makes each next measurement likely, not the path of half a minute; so even its own path "
+            "need not be "
+            "the nearest."
         )
     ]
 
@@ -133,9 +178,13 @@ def residuals_section(residuals: Sequence[TestFacts] | None) -> ReportSection | 
     failed = [f"{one['output']} ({_test(one)})" for one in residuals if one["outcome"] == "failed"]
     text = f"Not passed: {listed(failed)}." if failed else "No test of the residuals failed."
     columns = ("output", "test", "outcome", "p", "what it means")
-    caption = "Tests of what the fit leaves: residuals of a right model are white and free of steering."
+    caption = (
+        "Tests of what a segment's own fit leaves of each measurement, predicted one step ahead from "
+        "all before "
+        "it: residuals of a right model are white and free of steering. p: as it counts among all tests."
+    )
     table = ReportTable("residual-tests", caption, columns, rows)
-    return ReportSection("residuals", "Residuals", (ReportText(text), table))
+    return ReportSection("residuals", "Residuals", (ReportText(text), table, ReportText(ANOTHER_TEST)))
 
 
 def _test(one: TestFacts) -> str:

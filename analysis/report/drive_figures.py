@@ -27,17 +27,19 @@ from tilth.analysis.report.figure_look import (
     time_scale,
 )
 from tilth.analysis.report.wording import METHODS, SYMBOLS
+from tilth.schemas.fields import KMH
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import WITHIN, interval, scale_of, unit_of
 
 LEAST_LATERAL_OFFSET: Final = 0.25  # of a map's longer side: how narrow a map may become
 HIGHEST: Final = 4.8  # in, of a map
+STRIP: Final = 0.65  # in below the track, for scale and north
 MOST_LABELS: Final = 60  # of segments on a map: more hide what they label
 MOST_OVER_TIME: Final = 30
 ROW: Final = "row"  # kind of segments that do not steer
 PANELS: Final = (
     ("wheel_angle", "wheel angle, °", 180.0 / math.pi),
-    ("speed", "speed, m/s", 1.0),
+    ("speed", "speed, km/h", 1.0 / KMH),
     ("articulation", "articulation, °", 180.0 / math.pi),
 )
 
@@ -84,10 +86,11 @@ def _frame(x: Floats, y: Floats) -> tuple[float, float, tuple[tuple[float, float
     low, high = (np.array([fold(y), fold(x)]) for fold in (np.nanmin, np.nanmax))
     middle, half = (low + high) / 2, (high - low) / 2
     half = np.maximum(half, max(LEAST_LATERAL_OFFSET * float(half.max()), 1.0)) * 1.08
-    half[1] += 0.08 * half.max()  # room for scale and north
     height = min(WIDTH * half[1] / half[0], HIGHEST)
     width = WIDTH if height < HIGHEST else max(height * half[0] / half[1], WIDTH / 2)
     (west, south), (east, north) = middle - half, middle + half
+    south -= STRIP * 2 * half[1] / height
+    height += STRIP
     return float(height) + 0.4, float(width), ((float(west), float(east)), (float(south), float(north)))
 
 
@@ -113,7 +116,7 @@ def _scale_bar(axes: Axes, limits: tuple[tuple[float, float], tuple[float, float
     """Bottom left; the arrow of north bottom right."""
     (west, east), (south, north) = limits
     length = _round_length((east - west) / 5)
-    left, bottom = west + 0.03 * (east - west), south + 0.04 * (north - south)
+    left, bottom = west + 0.03 * (east - west), south + 0.01 * (north - south)
     axes.plot([left, left + length], [bottom, bottom], color=INK, linewidth=2.0, solid_capstyle="butt")
     axes.annotate(
         f"{length:g} m", (left + length / 2, bottom), (0, 6), textcoords="offset points", ha="center"
@@ -121,7 +124,7 @@ def _scale_bar(axes: Axes, limits: tuple[tuple[float, float], tuple[float, float
     right = east - 0.04 * (east - west)
     axes.annotate("", (right, bottom), (0, 18), textcoords="offset points",
                   arrowprops={"arrowstyle": "<|-", "color": INK, "linewidth": 1.0})  # fmt: skip
-    axes.annotate("N", (right, bottom), (0, 24), textcoords="offset points", ha="center", va="center",
+    axes.annotate("N", (right, bottom), (-8, 9), textcoords="offset points", ha="center", va="center",
                   fontweight="bold")  # fmt: skip
 
 

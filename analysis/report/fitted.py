@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
+from tilth.analysis.fit.published_values import own
 from tilth.analysis.fit.result import FitAnswer
 from tilth.analysis.report.data import PriorFacts
 from tilth.analysis.report.document import (
@@ -30,7 +31,9 @@ def fit_section(fit: FitAnswer | None, prior: Mapping[str, PriorFacts] | None = 
     if fit["agreement"]:
         parts.append(ReportText(fit["agreement"]["sentence"]))
     parts += [_figure(fit, prior), _table(fit), *_reasons(fit)]
-    sections = []
+    sections = [
+        ReportSection("fit-published", "Beside published values", (_published_table(fit), *_sources()))
+    ]
     joint = fit["joint"]
     known = [name for name in PARAMETERS if joint and joint["parameters"][name]["value"] is not None]
     if joint and len(known) > 1:
@@ -76,6 +79,42 @@ def _table(fit: FitAnswer) -> ReportTable:
         "Segment 2.34 is number 34 of run 2."
     )
     return ReportTable("fit-table", caption, columns, rows)
+
+
+def _published_table(fit: FitAnswer) -> ReportTable:
+    """This fit, and what others have published."""
+    ours = [
+        (
+            ReportCell("this fit"),
+            *(parameter_cell(name, one.parameters[name]) for name in PARAMETERS),
+            ReportCell(""),
+        )
+        for one in _rows(fit)[-1:]
+    ]
+    theirs = [
+        (
+            ReportCell(one.title),
+            *(ReportCell(one.told(name) or NOTHING) for name in PARAMETERS),
+            ReportCell(one.where),
+        )
+        for one in own()
+    ]
+    caption = (
+        "What others have published of tractors and implements in fields, of the whole axle, with 95 % "
+        "intervals "
+        "where they give sds. Other rigs, soils and loads: a difference is no fault of either."
+    )
+    columns = ("of", *map(heading_of, PARAMETERS), "where")
+    return ReportTable("fit-published-table", caption, columns, (*ours, *theirs))
+
+
+def _sources() -> list[ReportText]:
+    """Each once, with what is said of its sets of values."""
+    found: dict[str, list[str]] = {}
+    for one in own():
+        about = "; ".join(filter(None, (one.rig, one.load, one.tyre, one.soil, one.how)))
+        found.setdefault(one.source, []).append(f"{one.title}: {about}.")
+    return [ReportText(f"{source}. {' '.join(about)}") for source, about in found.items()]
 
 
 def _reasons(fit: FitAnswer) -> list[Part]:

@@ -269,10 +269,16 @@ def _curve(name: str, model: System, beyond: Transfer | None, hz: Array, excited
     wrong = [output for output, p in zip(model.outputs, overall.tolist(), strict=True) if p < REJECTED]
     if wrong:
         sentence = (
-            f"{name}: residuals of {' and '.join(wrong)} still follow the wheel angle: it is not the rig."
+            f"{name}: simulated over the whole drive without correction, it leaves errors of "
+            f"{' and '.join(wrong)} that follow the wheel angle: a linear model with these parameters "
+            "does not "
+            "explain all that the steering did."
         )
     else:
-        sentence = f"{name}: no residual follows the wheel angle: the drive does not contradict it."
+        sentence = (
+            f"{name}: simulated over the whole drive without correction, it leaves no error that follows the "
+            "wheel angle: the drive does not contradict it."
+        )
     return ModelCurve(name, response, beyond.coherence, beyond.p_value, overall, sentence)
 
 

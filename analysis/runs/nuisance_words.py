@@ -20,6 +20,7 @@ class NuisanceWords(NamedTuple):
 ANGLE, LENGTH, TIME, LOG, PLAIN = "angle", "length", "time", "log", "plain"
 _SCALES: Final = {ANGLE: (180.0 / math.pi, "°"), LENGTH: (1e3, "mm"), TIME: (1e3, "ms"), PLAIN: (1.0, "")}
 _SENSOR: Final = "sd of the machine file"
+_ROLL_STIFFNESS: Final = "roll stiffness (Nm per rad of lean) over that of its track and deflection"
 
 WORDS: Final[dict[str, NuisanceWords]] = {
     "wheel_zero": NuisanceWords("wheel-angle reading when straight", ANGLE, "wheel_angle.zero"),
@@ -34,8 +35,8 @@ WORDS: Final[dict[str, NuisanceWords]] = {
     "cg_t": NuisanceWords("tractor's CG further forward", LENGTH, "tractor.cg_sd"),
     "cg_i": NuisanceWords("implement's CG further forward", LENGTH, "implement.cg_sd"),
     "rolling": NuisanceWords("rolling resistance over load", PLAIN),
-    "roll_k_t": NuisanceWords("tractor's roll stiffness over nominal", LOG),
-    "roll_k_i": NuisanceWords("implement's roll stiffness over nominal", LOG),
+    "roll_k_t": NuisanceWords(f"tractor's {_ROLL_STIFFNESS}", LOG),
+    "roll_k_i": NuisanceWords(f"implement's {_ROLL_STIFFNESS}", LOG),
     "roll_d_t": NuisanceWords("tractor's roll damping over nominal", LOG),
     "roll_d_i": NuisanceWords("implement's roll damping over nominal", LOG),
     "roll_j_t": NuisanceWords("tractor's roll inertia over nominal", LOG),
@@ -82,7 +83,8 @@ def nuisance_value(name: str, value: float) -> str:
     """Value alone in people's units, to three digits."""
     row = WORDS[name]
     if row.form == LOG:
-        return " ".join(filter(None, (f"{math.exp(value) * row.scale:.3g}", row.unit)))
+        found = f"{math.exp(value) * row.scale:.3g}"
+        return f"{found} {row.unit}" if row.unit else f"× {found}"
     scale, unit = _SCALES[row.form]
     return " ".join(filter(None, (f"{value * scale:.3g}", unit)))
 

@@ -39,6 +39,7 @@ HEADLAND_ANGLE: Final = math.radians(12.0)  # of the wheels
 HEADLAND_HEADING: Final = math.radians(100.0)  # that the tractor goes round, net
 HELD: Final = math.radians(1.0)  # an angle that stays within this of its median is held
 HELD_SHARE: Final = 0.75  # of the time with turned wheels
+SHORTEST_HOLD_S: Final = 1.5  # of a step among others
 LONG_HOLD_S: Final = 40.0  # a longer hold is no step but a steady turn
 LEAST_CROSSINGS: Final = 4  # of a chirp or of random steering
 TRENDING: Final = 0.75  # rank correlation of the half periods of a chirp with time
@@ -183,14 +184,28 @@ def _kind(poses: Table, rows: NDArray[np.intp], stretch: NDArray[np.intp]) -> st
     halves = _half_periods(t, angle)
     middle = float(np.median(angle))
     held = float(np.mean(np.abs(angle - middle) < HELD))
-    if len(halves) >= LEAST_CROSSINGS:
+    if len(halves) >= LEAST_CROSSINGS and _held(t, angle) < HELD_SHARE:
         trend = np.corrcoef(np.argsort(np.argsort(halves)), np.arange(len(halves)))[0, 1]
         return CHIRP if abs(trend) > TRENDING else RANDOM
+    if len(halves) >= LEAST_CROSSINGS:  # steps to both sides, one after the other
+        return STEP
     if held >= HELD_SHARE and abs(middle) > WINDOWS.turned:
         return STEADY_TURN if t[-1] - t[0] > LONG_HOLD_S else STEP
     if np.max(np.abs(angle)) > HEADLAND_ANGLE and abs(heading[-1] - heading[0]) > HEADLAND_HEADING:
         return HEADLAND
     return TURN
+
+
+def _held(t: Floats, angle: Floats) -> float:
+    """Share of the time in holds: SHORTEST_HOLD_S or longer, within HELD of their middle."""
+    first, whole = 0, 0.0
+    for k in range(1, len(t) + 1):
+        if k < len(t) and np.ptp(angle[first : k + 1]) <= 2 * HELD:
+            continue
+        lasted = float(t[k - 1] - t[first])
+        whole += lasted if lasted >= SHORTEST_HOLD_S else 0.0
+        first = k
+    return whole / max(float(t[-1] - t[0]), SHORTEST_HOLD_S)
 
 
 def _half_periods(t: Floats, angle: Floats) -> Floats:

@@ -8,6 +8,7 @@ Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Nav
 innovations squared.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -69,6 +70,18 @@ class SizeTest:
     low: float  # of the interval in which it lies if the filter is right
     high: float
     sentence: str
+
+
+def together(p_values: Sequence[float]) -> Array:
+    """Of several tests, each p-value as it counts among all of them: below a level with that probability if
+    every residual is right. NaN: undecided, not counted. Source: Holm (1979), A simple sequentially rejective
+    multiple test procedure."""
+    found = np.asarray(p_values, np.float64)
+    order = np.argsort(found)[: np.count_nonzero(np.isfinite(found))]
+    weights = len(order) - np.arange(len(order))
+    counted = found.copy()
+    counted[order] = np.minimum(np.maximum.accumulate(weights * found[order]), 1.0)
+    return counted
 
 
 def whiteness(

@@ -68,10 +68,7 @@ class OpenTracker:
 def initial(machine: Machine) -> OpenTracker:
     """The state before any data, at the values of the machine file, as wide as people are wrong."""
     state = tracker.initial(machine)
-    sd = state.prior_sd
-    for row in OPEN:
-        sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
-    sd[SIX] = np.maximum(sd[SIX], OPEN_TRACKER.tyre_log_sd)
+    sd = state.prior_sd[:] = opened(state.prior_sd)
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
@@ -82,6 +79,15 @@ def initial(machine: Machine) -> OpenTracker:
     # by steering, a tracker stops while the wheels are held.
     state.by_steering = False
     return OpenTracker(state)
+
+
+def opened(sd: Array) -> Array:
+    """Prior sds, (n,) of unknowns.NAMES, with all OPEN numbers and the six as wide as people are wrong."""
+    sd = sd.copy()
+    for row in OPEN:
+        sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
+    sd[SIX] = np.maximum(sd[SIX], OPEN_TRACKER.tyre_log_sd)
+    return sd
 
 
 def observe(
@@ -134,9 +140,14 @@ def _fade(state: TrackerState) -> None:
 
 def misfit(state: TrackerState, believing: TrackerState, machine: Machine) -> Misfit:
     """The present difference from the machine file. believing: as of `observe`."""
-    off = (state.mean - state.prior_mean)[PLACES]
-    covariance, other = (one.covariance[np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)] for one in (state, believing))
-    return misfit_of(off, covariance, other, machine)
+    return from_file(state.mean - state.prior_mean, state.covariance, believing.covariance, machine)
+
+
+def from_file(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
+    """What is found, (n,) off the machine file with its covariance, (n, n), of unknowns.NAMES. believing: the
+    covariance of what believes the file as far as its sds say."""
+    at = np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)
+    return misfit_of(off[PLACES], covariance[at], believing[at], machine)
 
 
 def is_rough(state: TrackerState) -> bool:

@@ -8,6 +8,7 @@
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 import tilth.analysis
@@ -61,6 +62,27 @@ for subset in hold_out(fitted):
     cells = [f"{cell.tractor_m:5.2f}{'*' if cell.held_out else ' '}" for cell in subset.cells]
     print(f"{by:14} {'  '.join(cells)}")
 
+# %% [markdown]
+# ## The drive, and what the two steps tell
+#
+# Above the wheel angle and both yaw rates; below each step's stiffnesses with their 95 % intervals, and those
+# of both together.
+
 # %%
-first = np.degrees(np.nanmax(run.poses.between(0.0, 25.0)["tractor_yaw_rate_radps"]))
-print(f"largest yaw rate of the first step: {first:.1f} deg/s")
+figure, (drive, fits) = plt.subplots(2, figsize=(7, 5), num="drive", layout="constrained")
+figure.suptitle("Two steps, and the stiffnesses that they tell")
+for column in ("wheel_angle_rad", "tractor_yaw_rate_radps", "implement_yaw_rate_radps"):
+    drive.plot(
+        run.poses.t_s, np.degrees(run.poses[column]), label=column.rpartition("_")[0].replace("_", " ")
+    )
+drive.set(xlabel="time, s", ylabel="° and °/s")
+drive.legend()
+fitted_ones = [*((one["id"], one["parameters"]) for one in answer["runs"]), ("both", joint["parameters"])]
+for k, (label, parameters) in enumerate(fitted_ones):
+    rows = [parameters[name] for name in ("C_af", "C_ar", "C_ai")]
+    values = np.array([row["value"] or np.nan for row in rows]) / 1e3
+    ratio = np.exp(1.96 * np.array([row["sd"] or np.nan for row in rows]) / 1e3 / values)
+    ends = [values - values / ratio, values * ratio - values]
+    fits.errorbar(np.arange(3) + 0.1 * (k - 1), values, ends, fmt="o", capsize=3, label=label)
+fits.set(xticks=range(3), xticklabels=("C_af", "C_ar", "C_ai"), ylabel="kN/rad")
+fits.legend(title="step")

@@ -7,6 +7,7 @@
 # %%
 from importlib import resources
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from tilth.estimator.models.family import model_named
@@ -55,9 +56,22 @@ for name, made in gains.items():
 
 # %%
 rng = np.random.default_rng(1)
-worst = -np.inf
+worst, all_poles = -np.inf, []
 for _ in range(200):
     drawn = {name: value * np.exp(sd / value * rng.normal()) for name, (value, sd) in estimated.items()}
     loop = closed_loop(system(model, assumed._replace(**drawn), SPEED), gains["learned"].gain)
-    worst = max(worst, float(np.max(np.linalg.eigvals(loop).real)))
+    all_poles.append(np.linalg.eigvals(loop))
+    worst = max(worst, float(np.max(all_poles[-1].real)))
 print(f"slowest pole of 200 draws: {worst:.2f} rad/s" + ("" if worst < 0 else "; not stable for all"))
+
+# %%
+figure, axes = plt.subplots(figsize=(7, 4), num="poles", layout="constrained")
+figure.suptitle("Poles of the closed loop over what is known of the soil")
+drawn_poles = np.concatenate(all_poles)
+axes.plot(drawn_poles.real, drawn_poles.imag, ".", markersize=2, label="200 draws", rasterized=True)
+for name, made in gains.items():
+    poles = np.linalg.eigvals(closed_loop(system(model, learned, SPEED), made.gain))
+    axes.plot(poles.real, poles.imag, "x", label=f"the estimate, gains for the {name} soil")
+axes.axvline(0.0, color="gray", linewidth=0.8)
+axes.set(xlabel="real part, 1/s", ylabel="imaginary part, 1/s", xlim=(-6.0, 0.5))
+axes.legend(loc="upper left")

@@ -12,6 +12,9 @@ from studies.dissertation.compared import ComparedFigure, compared, number
 from studies.dissertation.field_errata import field_errata
 from studies.dissertation.figures import DRAWINGS
 from tilth.analysis import plots
+from tilth.analysis.fit import published_values
+from tilth.analysis.report.wording import heading_of
+from tilth.schemas.flow import PARAMETERS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 COMMAND = "uv run python -m studies.dissertation.page"
@@ -172,6 +175,16 @@ $uncertainty
 
 $fields
 
+## Published elsewhere
+
+What is in print of cornering stiffnesses (kN/rad of the whole axle) and relaxation lengths (m) of tractors
+and implements in fields, with the 95 % interval where a source gives a standard deviation. `tilth compare
+LOG published` shows a log's fit beside them ([published.toml](../analysis/fit/published.toml)). Metz (1993),
+Schwanghart and Rott (1984) and Bevly et al. (2002), after which the dissertation calculated its initial
+values, were not at hand, so no number of theirs stands here.
+
+$published
+
 ## Printed and right
 
 $errata
@@ -216,9 +229,24 @@ def page() -> str:
         global_values=chapter6.global_table(),
         unstable=chapter6.unstable_sentence(),
         servo=number(closed_loop.SERVO, 1),
+        published=published_table(),
         fields=field_page.section(field_tables.read()),
         errata=errata.errata_table([*errata.errata(), *chapter6.errata(), *field_errata()]),
     )
+
+
+def published_table() -> str:
+    """The product's table, and its sources."""
+    heads = ["of", *map(heading_of, PARAMETERS), "source"]
+    rows = [heads, ["---", *["---:"] * len(PARAMETERS), "---"]]
+    sources: list[str] = []
+    for one in published_values.own():
+        sources += [] if one.source in sources else [one.source]
+        about = "; ".join(filter(None, (one.where, one.rig, one.load, one.tyre, one.soil, one.how)))
+        told = (one.told(name) or "–" for name in PARAMETERS)
+        rows.append([one.title, *told, f"[{sources.index(one.source) + 1}], {about}"])
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines) + "\n\n" + "\n\n".join(f"[{k}] {text}." for k, text in enumerate(sources, 1))
 
 
 def main(arguments: list[str]) -> None:

@@ -58,3 +58,18 @@ def test_what_cannot_be_compared(call: Answer, tmp_path: Path) -> None:
     ):
         status, _, err = call("compare", *words)
         assert status == 2 and says in err
+
+
+def test_published_values_stand_beside_a_fit_and_are_no_fault(call: Answer, tmp_path: Path) -> None:
+    good, wrong = tmp_path / "good.json", tmp_path / "wrong.toml"
+    good.write_text(json.dumps(answer()))
+    status, out, _ = call("compare", good, "published")
+    told = " ".join(out.split())
+    assert status == 0 and "Karkee" in told and "a difference is no fault" in told and "no sd" in told
+    status, out, _ = call("compare", good, "published", "--json")
+    first = json.loads(out)["published"][0]["parameters"][0]
+    assert first["name"] == "C_af" and first["ratio"] == pytest.approx(200 / 90)
+    wrong.write_text("a = 1")
+    status, _, err = call("compare", good, wrong)
+    assert status == 2 and "give [[entry]]" in err
+    assert call("compare", good, tmp_path / "none.toml")[0] == 2

@@ -2,6 +2,7 @@
 
 import os
 import re
+from pathlib import Path
 
 import pytest
 from paths import ROOT
@@ -26,7 +27,7 @@ def test_each_notebook_is_tested() -> None:
 def test_a_notebook_runs(name: str) -> None:
     cells = cells_of((SOURCES / f"{name}.py").read_text(encoding="utf-8"))
     environment = {**os.environ, "XDG_CACHE_HOME": str(shared_cache()), "OPENBLAS_NUM_THREADS": "1"}
-    outputs = printed(cells, environment)
+    outputs = printed(cells, environment, name)
     for text in NOTEBOOKS[name]:
         assert any(text in one for one in outputs), outputs
     # Another computer rounds differently: the page says the same with its own last digits.
@@ -44,6 +45,30 @@ def test_a_page_has_text_code_and_what_it_prints() -> None:
     page = page_of("some", cells, printed(cells))
     assert page.startswith("# A title\n\nWords.\n\n```python\nprint(6 * 7)\n```\n\n```text\n42\n```\n")
     assert page.count("```text") == 1 and "examples/notebooks/some.py" in page
+
+
+def test_a_mark_in_prose_or_code_begins_no_cell() -> None:
+    cells = cells_of("# %% [markdown]\n# Cells begin with `# %%`: so.\n# %%\nprint('# %% x')\n")
+    assert cells == [(False, "Cells begin with `# %%`: so."), (True, "print('# %% x')")]
+
+
+def test_what_a_cell_draws_stands_below_it(tmp_path: Path) -> None:
+    source = (
+        "# %%\nimport matplotlib.pyplot as plt\nplt.figure('line').suptitle('A line')\n"
+        "plt.plot([1, 2])\nprint(1)\n"
+        "# %%\nprint(2)\n"
+    )
+    cells = cells_of(source)
+    page = page_of("some", cells, printed(cells, name="some", into=tmp_path))
+    assert page.count("```text\n1\n```\n\n![A line](some-line.svg)") == 1 and page.count("![") == 1
+    assert (tmp_path / "some-line.svg").read_text(encoding="utf-8").count("<svg") == 1
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_each_page_has_a_figure_that_is_there(name: str) -> None:
+    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    files = re.findall(r"!\[.+\]\((.+\.svg)\)", page)
+    assert files and all((PAGES / file).is_file() for file in files)
 
 
 def test_a_cell_that_fails_is_told() -> None:

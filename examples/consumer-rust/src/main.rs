@@ -92,11 +92,7 @@ fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
         std::process::exit(2);
     };
     let lines: u64 = rest.first().map_or(Ok(u64::MAX), |word| word.parse())?;
-    let mut config = zenoh::Config::default();
-    config.insert_json5("mode", "\"client\"")?;
-    config.insert_json5("scouting/multicast/enabled", "false")?;
-    config.insert_json5("connect/endpoints", &format!("[\"{endpoint}\"]"))?;
-    let session = zenoh::open(config).wait()?;
+    let session = tilth_consumer::session(endpoint)?;
     let last = Arc::new(Mutex::new(None));
     let shared = last.clone();
     let _subscriber = session

@@ -77,6 +77,26 @@ def test_the_map_is_north_up_with_a_scale(all_figures: dict[str, ReportFigure]) 
     assert axes.get_aspect() == 1.0
 
 
+@pytest.mark.parametrize(("north", "east"), [(1.0, 1.0), (8.0, 1.0), (1.0, 8.0), (0.05, 0.05)])
+def test_scale_and_north_stand_below_all_that_is_driven_and_marked(
+    all_figures: dict[str, ReportFigure], north: float, east: float
+) -> None:
+    """The events at the lowest places, in the corners too, with their numbers."""
+    way = {"x": [0.0, 0.0, 100.0 * north, 100.0 * north], "y": [0.0, 100.0 * east, 100.0 * east, 0.0]}
+    events = [{"number": k, "x": x, "y": y} for k, (x, y) in enumerate(zip(way["x"], way["y"], strict=True))]
+    data = {"tractor": way, "implement": NOWHERE, "segments": [], "events": events, "soil_changes": []}
+    with matplotlib.rc_context(LOOK):
+        figure = figures.DRAWINGS["path"](data)
+        figure.canvas.draw()
+    (axes,) = figure.axes
+    scale = [one for one in axes.texts if one.get_text() == "N" or one.get_text().endswith(" m")]
+    marked = [one for one in axes.texts if one.get_text().isdigit()]
+    assert len(scale) == 2 and len(marked) == 4
+    highest = max(one.get_window_extent().y1 for one in scale)
+    lowest = min(one.get_window_extent().y0 for one in marked)
+    assert highest < lowest
+
+
 def test_bands_are_drawn_where_there_is_uncertainty(all_figures: dict[str, ReportFigure]) -> None:
     for kind, panels in (("drive", 3), ("parameters", 6), ("response", 2)):
         shown = drawn(all_figures[kind])

@@ -36,7 +36,8 @@ def test_fits_by_segment_and_together() -> None:
 
 def test_fits_without_a_joint_one() -> None:
     section = fit_section(fit() | {"joint": None, "agreement": None})
-    assert section is not None and section.sections == () and len(table(section).rows) == 3
+    assert section is not None and [one.id for one in section.sections] == ["fit-published"]
+    assert len(table(section).rows) == 3
 
 
 def test_held_out_cells_are_marked_in_words() -> None:
@@ -63,6 +64,19 @@ def test_outputs_are_shown_in_their_units_where_they_were_looked_at() -> None:
     assert outputs.rows[0][0].text == "all" and len(outputs.rows) == 1
 
 
+@pytest.mark.parametrize(("together_m", "told"), [(0.2, "averages out"), (0.9, "whether the segments agree")])
+def test_it_says_why_all_together_predict_better_or_worse_than_one(together_m: float, told: str) -> None:
+    found = held_out()
+    for subset in found["subsets"]:
+        for cell in subset["cells"]:
+            if cell["held_out"] and len(subset["fitted"]) == 2:
+                cell["tractor_m"] = together_m
+    (_, words) = texts(held_out_section(found))
+    assert told in words and f"{together_m:.2f} m by that of all others" in words
+    del found["subsets"][1]
+    assert len(texts(held_out_section(found))) == 1
+
+
 def test_a_prediction_that_failed_has_no_number() -> None:
     found = held_out()
     found["subsets"][0]["cells"][1] |= {"tractor_m": None, "implement_m": None}
@@ -84,9 +98,24 @@ def test_segments_that_do_not_agree_predict_nothing_and_stand_in_groups() -> Non
     assert names[-2:] == ["together: s1 to s2", "all together"] and "together: s3" not in names
 
 
+def test_published_values_stand_beside_the_fit_with_their_sources() -> None:
+    section = fit_section(fit())
+    assert section is not None
+    (beside,) = (one for one in section.sections if one.id == "fit-published")
+    rows = table(beside).rows
+    assert (
+        rows[0][0].text == "this fit"
+        and rows[1][1].text == "90.0 ± 9.8"
+        and rows[1][7].text.startswith("Table")
+    )
+    assert any("Iowa State University" in text for text in texts(beside))
+
+
 def test_residuals() -> None:
     section = residuals_section(residuals())
-    assert texts(section) == ["Not passed: r_t (independent of the wheel angle)."]
+    failed, why = texts(section)
+    assert failed == "Not passed: r_t (one step ahead: independent of the wheel angle)."
+    assert "another test than the one under Frequency response" in why
     assert [row[3].text for row in table(section).rows] == ["0.300", "< 0.001", "–"]
 
 

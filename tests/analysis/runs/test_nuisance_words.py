@@ -1,5 +1,7 @@
 """How the unknowns beside the six are written for people."""
 
+import math
+
 import pytest
 
 from tilth.analysis.runs.nuisance_words import WORDS, nuisance_text, nuisance_value
@@ -36,4 +38,13 @@ def test_nuisances_in_peoples_units(name: str, value: float, sd: float, text: st
     assert nuisance_text(name, value, sd) == text
     first, unit = text.split()[0], "" if text[-1].isdigit() else text.split()[-1]
     alone = nuisance_value(name, value)
-    assert float(alone.split()[0]) == pytest.approx(float(first), rel=0.02) and alone.endswith(unit)
+    assert float(alone.removeprefix("× ").split()[0]) == pytest.approx(
+        float(first), rel=0.02
+    ) and alone.endswith(unit)
+
+
+def test_a_ratio_says_that_it_is_one_and_of_what() -> None:
+    assert nuisance_value("roll_k_t", math.log(0.63)) == "× 0.63"
+    assert (
+        "Nm per rad of lean" in WORDS["roll_k_t"].words and "track and deflection" in WORDS["roll_k_i"].words
+    )

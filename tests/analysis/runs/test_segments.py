@@ -49,7 +49,18 @@ def of_manoeuvre(name: str, seconds: float, degrees: float) -> Floats:
     return np.asarray(np.degrees(within(seconds, drawn)), np.float64)
 
 
+def of_steps(levels: list[float], hold_s: float, ramp_s: float = 1.0) -> Floats:
+    """One level after the other, each held."""
+    hold, ramp = round(hold_s / STEP_S), round(ramp_s / STEP_S)
+    parts = [np.zeros(round(LEAD / STEP_S))]
+    for level in (*levels, 0.0):
+        parts += [np.linspace(parts[-1][-1], level, ramp + 1)[1:], np.full(hold, level)]
+    return np.concatenate([*parts, np.zeros(round(TAIL / STEP_S))])
+
+
 CASES: list[tuple[str, Floats, float]] = [
+    (segments.STEP, of_steps([6.0, -6.0, 4.0, -4.0, 8.0, -8.0, 6.0], 5.0), 42.0),
+    (segments.STEP, of_steps([6.0, -4.0, 3.0, -3.0, 8.0, -8.0], 3.0, 0.6), 21.6),
     (segments.STEP, within(25.0, np.full(9, 6.0)), 25.0),
     (segments.STEADY_TURN, within(60.0, np.full(9, 6.0)), 60.0),
     (segments.CHIRP, of_manoeuvre("chirp", 30.0, 6.0), 30.0),
@@ -59,7 +70,9 @@ CASES: list[tuple[str, Floats, float]] = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "wheel_deg", "seconds"), CASES, ids=[case[0] for case in CASES])
+@pytest.mark.parametrize(
+    ("kind", "wheel_deg", "seconds"), CASES, ids=[f"{case[0]}-{k}" for k, case in enumerate(CASES)]
+)
 def test_each_manoeuvre_is_found_by_its_name(kind: str, wheel_deg: Floats, seconds: float) -> None:
     steering = [segment for segment in segments.find(poses(wheel_deg)) if segment.steers]
     assert [segment.kind for segment in steering] == [kind]

@@ -142,8 +142,8 @@ def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -
 @pytest.mark.parametrize("name", ["s0", "s5"])
 def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
     """Tractors of 5 and 8 t with carts of 7 and 6 t, that driving doubted to the end: the inertia of either
-    cart comes out at a half or less. C_ar of s0 is 36 % stiff at an sd of 11 %, as on all uneven ground (see
-    docs/estimation_limits.md): so 3.5 sds."""
+    cart comes out at a half or less. C_ar of s0 is 36 % stiff: what its windows show of the model of the
+    ground (filters/contrast.py) makes the sd 19 % of what was 11."""
     machine = parse_machine((STRANGERS / f"{name}.toml").read_text(encoding="utf-8"))
     truth = json.loads((STRANGERS / f"{name}.truth.json").read_text(encoding="utf-8"))
     heard = list(log_frames(STRANGERS / f"{name}.log.gz"))
@@ -153,7 +153,7 @@ def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
     last = [e for _, e in given(out) if e.method == "tracker"][-1]
     for p, parameter in zip(last.parameters, PARAMETERS, strict=True):
         assert p.value is not None and p.sd is not None and p.sd / p.value <= 0.3, (parameter, p.reason)
-        assert abs(math.log(p.value / truth[parameter])) < 3.5 * p.sd / p.value, parameter
+        assert abs(math.log(p.value / truth[parameter])) < 2.5 * p.sd / p.value, parameter
     assert contradictions(out) == []
 
 
