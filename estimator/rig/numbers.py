@@ -212,7 +212,7 @@ virtual tractor, in space they are a third of it.
 
 often: the place of the implement's CG and its inertia change with each load, and no tape tells them. With e
 at 4, right files of light carts had no C_ai; at 1, one number in 130 under a wrong e was beyond 4 sds; at 2,
-one in 390.
+one in 480.
 
 allowed_sd is from drives with right files. What tells of the implement's mass and yaw inertia themselves are
 small forces between the bodies. The mass came out at half and less in fields with headland turns, in 4 of 10
