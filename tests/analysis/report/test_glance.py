@@ -28,7 +28,7 @@ def test_when_where_and_how_far(facts: Any) -> None:
     facts["driving"] |= {"latitude_deg": -33.5, "longitude_deg": -70.25}
     assert "33.50000° S, 70.25000° W" in texts(facts)
     numbers = dict(tables(facts)["r-numbers"])
-    assert numbers["distance driven"] == "240 m" and numbers["median speed while driving"] == "4.00 m/s"
+    assert numbers["distance driven"] == "240 m" and numbers["median speed while driving"] == "14.4 km/h"
     assert at_a_glance(facts) == "field-1: 240 m in 60 s; found: 1 × step."
 
 
