@@ -318,8 +318,9 @@ class Followed:
     over_mass: dict[str, tuple[float, float]]  # method -> error of log C_ai/m_i as given last, and its sd
 
 
-def followed(run: Driven) -> Followed:
-    """A run through the fold; each fit is there when it is due."""
+def followed(run: Driven, watch: Callable[[fold.State, Estimate], None] | None = None) -> Followed:
+    """A run through the fold; each fit is there when it is due. watch: is told of each estimate as it is
+    published."""
     state = fold.initial(run.machine)
     series: dict[str, list[list[float]]] = {}
     events, last, over_mass = [], dict[str, Estimate](), dict[str, tuple[float, float]]()
@@ -332,6 +333,8 @@ def followed(run: Driven) -> Followed:
             if isinstance(value, Estimate):
                 series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
                 last[value.method] = value
+                if watch is not None:
+                    watch(state, value)
                 ratio, sd = (*value.per_mass, *[None] * 3)[2], (*value.per_mass_sd, *[None] * 3)[2]
                 if ratio is not None and sd is not None:
                     over_mass[value.method] = math.log(ratio) - true_log, sd / ratio

@@ -2,20 +2,26 @@
 
 import json
 import math
+import os
+import time
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from estimation_study import Case
 from numpy.typing import NDArray
-from rich.progress import Progress
+from rich.console import Console
+from rich.progress import Progress, TimeElapsedColumn
 from rich.table import Table
 from spatial_logs import CACHE
 
 from tilth.estimator.record.windows import WINDOWS
+from tilth.logger.fitting import ONE_THREAD
 
 Array = NDArray[np.float64]
 
@@ -44,17 +50,20 @@ class Bench:
     made: list[int] = field(default_factory=list)  # how many runs each call made
     logs: Path = CACHE  # where those of spatial rows are
     kept: Path | None = None  # file of lines of JSON: results of runs, and of rows
+    only_kept: bool = False  # no run is made
 
     def each(
         self, run: Callable[[int], Any], default: int, have: dict[int, Any] | None = None,
         then: Callable[[Any], None] = lambda made: None,
     ) -> list[Any]:  # fmt: skip
-        """The results of seeds 0 to N - 1, in that order.
+        """The results of seeds 0 to N - 1, in that order; with `only_kept`, of those that there are.
 
         have: what there is already, by seed. then: is given each result that is new, as soon as it is there.
         """
         n, results = self.runs or default, dict(have or {})
         self.made.append(n)
+        if self.only_kept:
+            return [results[seed] for seed in range(n) if seed in results]
         for seed, made in self._new(run, [seed for seed in range(n) if seed not in results]):
             results[seed] = made
             then(made)
@@ -153,3 +162,43 @@ def table_of(row: Row, lines: list[Line], note: str) -> Table:
     for line in lines:
         table.add_row(line.figure, line.reached, line.reach, verdicts[line.held])
     return table
+
+
+# Command lines of benches of many drives.
+
+
+def drives_parser(doc: str | None, count: int, keep: str, drives: str = "drives") -> ArgumentParser:
+    """The options that all of them have. keep: name of the file of what is done."""
+    parser = ArgumentParser(description=doc, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=count, help=drives)
+    parser.add_argument("--first", type=int, default=0, help="number of the first one")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--keep", type=Path, default=Path(keep), help="file of what is done")
+    parser.add_argument("--summary", action="store_true", help="only read what is there")
+    return parser
+
+
+def drives_asked(parser: ArgumentParser) -> Namespace:
+    """What was asked for, all numbers in range."""
+    args = parser.parse_args()
+    minutes = getattr(args, "minutes", 1.0)
+    if args.count < 1 or args.first < 0 or args.processes < 1 or not 0.0 < minutes <= 600.0:
+        parser.error("give a count, minutes and processes above zero, and no negative --first")
+    return args
+
+
+def print_rows(args: Namespace, rows: Sequence[Row], scale: float = 1.0, width: int = 170) -> None:
+    """Make the rows, or read what is there of them, and print each as soon as it is there. A run that is
+    stopped goes on where it was."""
+    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
+    console = Console(width=None if Console().is_terminal else width)
+    bench = Bench(args.count, kept=args.keep, scale=scale, only_kept=args.summary)
+    columns = (*Progress.get_default_columns(), TimeElapsedColumn())
+    with (
+        ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
+        Progress(*columns, console=console, transient=True) as progress,
+    ):
+        for row in rows:
+            began = time.perf_counter()
+            lines = row.make(replace(bench, pool=pool, progress=progress))
+            console.print(table_of(row, lines, f"{time.perf_counter() - began:.0f} s; {row.reach}"))

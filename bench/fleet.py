@@ -1,44 +1,53 @@
 """How good are the estimates on rigs of any size? A fractional design of drives on the virtual fleet.
 
-    python bench/fleet.py [--count 24] [--first 0] [--processes 1] [--keep FILE.jsonl] [--mass-sd SHARE]
+    python bench/fleet.py [--count 24] [--others 2] [--first 0] [--processes 1] [--keep FILE]
                           [--summary]
 
 Drive k is of rig k of simulator/fleet.py, and of cell k of bench/fleet_design.py: each 60 drives in a row are
-all cells once, and fewer are nearly balanced. The file of each rig is its owner's; with
---mass-sd it is of one who has not weighed the implement: then give another FILE. What is done is kept in
-FILE, a line each, and not done again; --first gives fresh rigs. `python bench/estimation.py fleet` prints the
-same table.
+all cells once, and fewer are nearly balanced. The file of each rig is its owner's. Further rows are of the
+first of these drives: with the file of an owner who has not weighed the implement, and with one that has a
+wrong number (`wrong_number`). What is done is kept in FILE, a line each, and not done again: it may be
+stopped at any time, and --summary prints all tables of what is there; --first gives fresh rigs.
+`python bench/estimation.py fleet` prints the first table. What else the fleet is asked: bench/wrong_files.py,
+watch.py and calibration.py with --fleet.
 
 Times count from when the wheels first turn beyond INFORMED. A file "has numbers" where C_af, C_ar and C_ai
 are given with sds of 30 % at most. Numbers are judged as they were given last, though they may have been
 withdrawn since. z is an error over its sd, both of natural logarithms.
 """
 
-import argparse
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, first_informed, followed
-from estimation_table import Bench, Line, Row, Z, figures, percents, table_of, wilson
+from estimation_table import (
+    Bench,
+    Line,
+    Row,
+    Z,
+    drives_asked,
+    drives_parser,
+    figures,
+    percents,
+    print_rows,
+    wilson,
+)
 from fleet_design import cell_of, scenario
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress, TimeElapsedColumn
 
 from tilth.estimator.diagnosis.consistency import CONTRADICTION
-from tilth.logger.fitting import ONE_THREAD
+from tilth.estimator.diagnosis.open_numbers import HYPOTHESES
+from tilth.estimator.rig.adjustments import Amount, scaled
+from tilth.estimator.rig.numbers import changed
 from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
 from tilth.simulator.fleet import drawn
@@ -55,23 +64,58 @@ METHODS: Final = ("recommended", "pem", "tracker", "steady_state")
 GIVEN_SD: Final = 0.3  # of a number that counts as given
 AFTER_S: Final = (60.0, 120.0)  # of driving since steering began
 FIGURES: Final = ((0.92, 0.98), 0.25, (0.85, 1.15), 0.07, 0.10)  # held; mean z; sd of z; |ln| of C, of sigma
+AS_GOOD: Final = 1.1  # times the median error of the best method
+HARM: Final = 1 / 500  # of the numbers given under wrong files may be beyond FAR[0]
+WRONG_BY: Final = (0.3, 1.5)  # from, to: of the sds by which people are wrong
 CELL: Final = (0.85, 30)  # a group of so many intervals of which fewer hold is to be explained
 FAR: Final = (4.0, 6.0)  # sds
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """Who wrote the machine files of a row."""
+
+    reach: str
+    mass_sd: float | None = None  # as of owners_text
+    wrong: bool = False
+
+
+OTHERS: Final = {
+    f"{NAME}, implement's mass told to 10 %": FileKind("per_mass holds", 0.1),
+    f"{NAME}, implement's mass told to 50 %": FileKind("per_mass holds", 0.5),
+    f"{NAME}, wrong files": FileKind("at most 1 number in 500 beyond 4 sd", wrong=True),
+}
+"""Further rows by their names."""
+OWNERS: Final = FileKind("")
 
 
 # One drive.
 
 
-def follow(first: int, scale: float, mass_sd: float | None, k: int) -> Result:
-    """Drive number first + k: what was published of it. scale: of its seconds, for a try. mass_sd: as of
-    owners_text."""
-    number = first + k
+def wrong_number(number: int) -> tuple[str, float]:
+    """What the file of rig `number` has wrong, and by how much, SI: one of HYPOTHESES, whose last is m_t, the
+    tractor's mass."""
+    rng, k = np.random.default_rng([52, number]), number % len(HYPOTHESES)
+    amount = float(rng.choice([-1.0, 1.0]) * rng.uniform(*WRONG_BY) * HYPOTHESES[k].open_sd)
+    return ("m_t" if k == len(HYPOTHESES) - 1 else HYPOTHESES[k].name), amount
+
+
+def _with_wrong_number(machine: Machine, number: int) -> Machine:
+    name, amount = wrong_number(number)
+    if name == "m_t":
+        return scaled("tractor", "mass")(machine, Amount(amount))
+    return changed(machine, {name: Amount(amount)})
+
+
+def follow(name: str, first: int, scale: float, k: int) -> Result:
+    """Drive number first + k of a row: what was published of it. scale: of its seconds, for a try."""
+    number, kind = first + k, OTHERS.get(name, OWNERS)
     rig, cell = drawn(number), cell_of(number)
     result: Result = {
-        "row": NAME, "seed": k, "first": first, "scale": scale, "rig": number,
+        "row": name, "seed": k, "first": first, "scale": scale, "rig": number,
         "tractor": rig.tractor.kind, "implement": rig.implement.kind, "fill": rig.implement.fill,
         "duals": rig.tyres[1].twin_spacing > 0.0, "manoeuvre": cell.manoeuvre.name, "rms": cell.rms,
-        "slope": cell.slope_deg, "plant": cell.plant, "mass_sd": mass_sd, "methods": {},
+        "slope": cell.slope_deg, "plant": cell.plant, "methods": {},
     }  # fmt: skip
     asked, machine = scenario(rig, cell), true_machine(rig, cell.manoeuvre.receivers)
     began = time.perf_counter()
@@ -79,22 +123,25 @@ def follow(first: int, scale: float, mass_sd: float | None, k: int) -> Result:
         truth = drive(machine, rig.seed, scale * asked.seconds, asked)
     except CannotBeDriven as error:
         return result | {"undriven": str(error)}
-    text = owners_text(rig, cell.manoeuvre.receivers, mass_sd=mass_sd)
-    run = Driven(parse_machine(text), truth, machine)
+    file = parse_machine(owners_text(rig, cell.manoeuvre.receivers, mass_sd=kind.mass_sd))
+    if kind.wrong:
+        file, result = _with_wrong_number(file, number), result | {"wrong": wrong_number(number)}
+    run = Driven(file, truth, machine)
     drove_s = time.perf_counter() - began
     heard = followed(run)
     steered_s = first_informed(heard.wheel, 0.0)
     ends = [steered_s + after for after in AFTER_S if steered_s + after <= truth.time[-1]]
     methods = {
-        name: {
+        method: {
             "error": (rows[-1, 1:7] - heard.logs).tolist(),
             "sd": rows[-1, 7:13].tolist(),
             "last": _last(rows, heard.logs),
             "given": [_given(rows, end) for end in (*ends, math.inf)],  # and at the end of the drive
-            "reasons": heard.reasons[name],
-            "over_mass": heard.over_mass.get(name, (math.nan, math.nan)),
+            "reasons": heard.reasons[method],
+            "over_mass": heard.over_mass.get(method, (math.nan, math.nan)),
+            "harm": _harm(rows, heard.logs),
         }
-        for name, rows in heard.series.items()
+        for method, rows in heard.series.items()
     }
     wrong = [text for _, kind, text in heard.events if kind == CONTRADICTION]
     return result | {
@@ -110,6 +157,12 @@ def _last(rows: Array, logs: Array) -> list[list[float]]:
     return np.column_stack([rows[at, np.arange(1, 7)] - logs, rows[at, np.arange(7, 13)]]).tolist()  # type: ignore[no-any-return]
 
 
+def _harm(rows: Array, logs: Array) -> tuple[int, int]:
+    """(numbers that were given, those of them beyond FAR[0]), all instants counted."""
+    z = np.abs((rows[:, 1:7] - logs) / rows[:, 7:13])
+    return int(np.isfinite(z).sum()), int(np.sum(z > FAR[0]))
+
+
 def _given(rows: Array, end: float) -> bool:
     """Whether C_af, C_ar and C_ai are given at a time, s. rows: as Followed.series."""
     at = int(np.searchsorted(rows[:, 0], end, side="right")) - 1
@@ -119,15 +172,26 @@ def _given(rows: Array, end: float) -> bool:
 # All of them.
 
 
-def row(first: int, bench: Bench, mass_sd: float | None = None) -> list[Line]:
+def row(first: int, bench: Bench) -> list[Line]:
     """The lines of the table; drives that a file has are not made again."""
-    have = {
-        seed: made for seed, made in spatial_rows.kept(bench, NAME).items() if made["first"] == first
-    }  # fmt: skip
-    made = bench.each(
-        partial(follow, first, bench.scale, mass_sd), COUNT, have, partial(spatial_rows.keep, bench)
-    )
-    return lines_of(made)
+    return lines_of(_made(NAME, first, bench))
+
+
+def another_row(name: str, first: int, count: int, bench: Bench) -> list[Line]:
+    """The same of one of OTHERS, over fewer drives."""
+    made = _made(name, first, replace(bench, runs=count))
+    if OTHERS[name].wrong:
+        return lines_of_wrong(made)
+    return [
+        *(line for method in METHODS for line in _over_mass(made, method)),
+        *(line for method in METHODS for line in _figures(method, *_numbers(made, method))),
+        *spatial_rows.reasons(made), *_others(made),
+    ]  # fmt: skip
+
+
+def _made(name: str, first: int, bench: Bench) -> list[Result]:
+    have, keep = spatial_rows.kept(bench, name, first), partial(spatial_rows.keep, bench)
+    return bench.each(partial(follow, name, first, bench.scale), COUNT, have, keep)
 
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
@@ -135,6 +199,8 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
     for method in METHODS:
         error, sd = _numbers(made, method)
         lines += _figures(method, error, sd)
+    lines += _tails(made)
+    lines += _recommended(made)
     lines += [line for method in METHODS for line in _over_mass(made, method)]
     lines += _right_files(made)
     for of in ("manoeuvre", "plant", "rms", "slope", "tractor", "implement", "duals"):
@@ -175,6 +241,64 @@ def _figures(method: str, error: Array, sd: Array) -> Iterator[Line]:
             ),
             (hits / n, float(np.mean(z)), spread, middle, *far),
         )
+
+
+def _tails(made: Sequence[Result]) -> Iterator[Line]:
+    """How many numbers of all methods are far off."""
+    z = np.concatenate([np.abs(np.divide(*_numbers(made, method))).ravel() for method in METHODS])
+    n, (far, very_far) = int(np.isfinite(z).sum()), (int(np.sum(z > limit)) for limit in FAR)
+    yield Line(
+        "beyond 4 and 6 sds, all methods", f"{far} and {very_far} of {n}", "≤ 1 in 1000; 0",
+        far <= math.ceil(n / 1000) and very_far == 0, (far, very_far, n),
+    )  # fmt: skip
+
+
+def _recommended(made: Sequence[Result]) -> Iterator[Line]:
+    """Beside each method, where both have a number: what is recommended must be as good as the best."""
+    error, sd = _numbers(made, METHODS[0])
+    for k, name in enumerate(PARAMETERS):
+        said, held = list[str](), True
+        for method in METHODS[1:]:
+            other, other_sd = _numbers(made, method)
+            both = np.isfinite(error[:, k]) & np.isfinite(other[:, k])
+            if not both.any():
+                continue
+            pairs = ((error[both, k], sd[both, k]), (other[both, k], other_sd[both, k]))
+            (mine, its), (hits, its_hits) = (
+                [float(np.median(np.abs(off))) for off, _ in pairs],
+                [int(np.sum(np.abs(off) < Z * wide)) for off, wide in pairs],
+            )
+            said.append(
+                f"{percents([mine, its])} beside {method}, {hits} and {its_hits} of {both.sum()} hold"
+            )
+            held &= both.sum() < CELL[1] or (mine <= AS_GOOD * its and hits >= its_hits - 0.03 * both.sum())
+        yield Line(f"recommended {name}: |ln|", "; ".join(said) or "no number", "as good as the best", held)
+
+
+def lines_of_wrong(made: Sequence[Result]) -> list[Line]:
+    """The harm that wrong files do, all numbers of all instants, and whether they are contradicted."""
+    driven = [one for one in made if "undriven" not in one]
+    counts = {
+        method: np.sum([one["methods"][method]["harm"] for one in driven if method in one["methods"]], axis=0)
+        for method in METHODS if any(method in one["methods"] for one in driven)
+    }  # fmt: skip
+    lines = [
+        Line(
+            f"{method}: numbers beyond {FAR[0]:g} sd", f"{beyond} of {n}", "≤ 1 in 500",
+            bool(beyond <= HARM * n), (int(beyond), int(n)),
+        )
+        for method, (n, beyond) in counts.items()
+    ]  # fmt: skip
+    for one in driven:
+        harm = {method: said["harm"][1] for method, said in one["methods"].items() if said["harm"][1]}
+        name, amount = one["wrong"]
+        lines.append(
+            Line(
+                f"rig {one['rig']}, {name} off by {amount:+.3g}",
+                f"beyond: {harm or 'none'}; contradicted: {'; '.join(one['contradictions'][:1]) or 'no'}",
+            )
+        )
+    return lines
 
 
 def _over_mass(made: Sequence[Result], method: str) -> Iterator[Line]:
@@ -263,39 +387,20 @@ REACH: Final = "92 to 98 % hold; mean z ± 0.25, its sd 0.85 to 1.15; numbers in
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=24, help=f"drives; the whole design has {COUNT}")
-    parser.add_argument("--first", type=int, default=0, help="number of the first rig and cell")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--keep", type=Path, default=Path("fleet.jsonl"), help="file of what is done")
+    parser = drives_parser(__doc__, 24, "fleet.jsonl", f"drives; the whole design has {COUNT}")
     parser.add_argument(
-        "--mass-sd", type=float, help="of the logarithm of the implement's mass in each file: 0.1 or 0.5"
+        "--others", type=int, help="drives of each further row; 0: none (a tenth of --count, 1 at least)"
     )
-    parser.add_argument("--summary", action="store_true", help="only read what is there")
-    args = parser.parse_args()
-    if args.count < 1 or args.first < 0 or args.processes < 1:
-        parser.error("give a count and processes above zero, and no negative --first")
-    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
-    console = Console(width=None if Console().is_terminal else 170)
-    bench = Bench(args.count, kept=args.keep)
-    began = time.perf_counter()
-    if args.summary:
-        made = [one for one in spatial_rows.kept(bench, NAME).values() if one["first"] == args.first]
-        lines = lines_of(made)
-    else:
-        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-        with (
-            ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
-            Progress(*columns, console=console, transient=True) as progress,
-        ):
-            lines = row(args.first, replace(bench, pool=pool, progress=progress), args.mass_sd)
-    title = Row(NAME, REACH, partial(row, args.first))
-    took = f"{time.perf_counter() - began:.0f} s"
-    console.print(
-        table_of(title, lines, f"rigs {args.first} to {args.first + args.count - 1}, {took}; {REACH}")
-    )
+    args = drives_asked(parser)
+    others = max(args.count // 10, 1) if args.others is None else args.others
+    rows = [
+        Row(NAME, f"rigs from {args.first}; {REACH}", partial(row, args.first)),
+        *(
+            Row(name, f"rigs from {args.first}; {kind.reach}", partial(another_row, name, args.first, others))
+            for name, kind in OTHERS.items() if others > 0
+        ),
+    ]  # fmt: skip
+    print_rows(args, rows)
 
 
 if __name__ == "__main__":

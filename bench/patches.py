@@ -1,39 +1,48 @@
 """Does an interval hold at the place where it was published? Fields in patches with a wet end, drawn anew.
 
-    python bench/patches.py [--count 8] [--first 0] [--minutes 12] [--processes 1]
+    python bench/patches.py [--count 8] [--first 0] [--minutes 12] [--one-soil] [--processes 1]
                             [--keep patches.jsonl] [--summary]
 
 Drive k is of field k by `scenario_for`: patches of 20 to 60 m with an sd of 10 to 30 %, whose lengths along
 and across and whose correlation between axles differ, and an end that is 30 to 50 % softer; rows in order, in
 every other field beside a skipped one. The truth is what is under each axle at the instant of the estimate.
 It is counted over passes and stretches of the patches' length: the seconds in one stretch count once
-together. Rows and turns apart; median errors from the third pass on.
+together. Rows and turns apart; median errors from the third pass on. The oracle is the memory itself, told of
+the same windows, with the covariance that the field was drawn with in place of hypotheses. With --one-soil
+the same drives have neither patches nor a wet end.
 """
 
-import argparse
 import math
-import os
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, Final
 
 import estimation_runs
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, followed
-from estimation_table import Bench, Line, Row, Z, percents, table_of
+from estimation_table import (
+    Bench,
+    Line,
+    Row,
+    Z,
+    drives_asked,
+    drives_parser,
+    figures,
+    percents,
+    print_rows,
+)  # fmt: skip
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress, TimeElapsedColumn
+from scipy.special import j0
 
+from tilth.estimator import fold
+from tilth.estimator.filters.soil_field import AXLES, SoilMemory, Variogram, over_paths
 from tilth.estimator.models.nonlinear import STATES
-from tilth.logger.fitting import ONE_THREAD
+from tilth.schemas.flow import Estimate
 from tilth.simulator.drive import drive
+from tilth.simulator.ground import PATCH_BAND, axles_of, share
 from tilth.simulator.scenario import (
     STEP_S,
     Autosteer,
@@ -44,6 +53,7 @@ from tilth.simulator.scenario import (
     Soil,
     SoilChange,
 )
+from tilth.simulator.tractor import Truth
 
 Array = NDArray[np.float64]
 Result = dict[str, Any]
@@ -51,15 +61,19 @@ Result = dict[str, Any]
 
 NAME: Final = "patches"
 METHODS: Final = ("place", "pem", "recommended")
+ORACLE: Final = "oracle"
 WHERE: Final = ("rows", "turns")
 HOLD: Final = 0.92
 ERROR: Final = 0.15  # median, of C, from the third pass on
 TURNED: Final = math.radians(20.0)  # from the direction of the rows
 RUNNING_IN: Final = 2  # passes
+SCORE: Final = 1.3  # mean interval score over the oracle's
+AHEAD: Final = 0.2  # half an interval, of the factor common to the stiffnesses in the wet end
+AHEAD_S: Final = 25.0  # before the wheels are there
 AT: Final = {name: k for k, name in enumerate(STATES)}
 
 
-def scenario_for(k: int, minutes: float) -> Scenario:
+def scenario_for(k: int, minutes: float, one_soil: bool = False) -> Scenario:
     """Field k."""
     rng = np.random.default_rng([53, k])
     length, patch = rng.uniform(100.0, 180.0), rng.uniform(20.0, 60.0)
@@ -72,6 +86,8 @@ def scenario_for(k: int, minutes: float) -> Scenario:
         grip=0.7, rolling=0.06, changes=(end,), patch_log_sd=rng.uniform(0.1, 0.3), patch_length=patch,
         patch_across=rng.uniform(0.5, 2.0), patch_common=rng.uniform(0.3, 1.0),
     )  # fmt: skip
+    if one_soil:
+        soil = replace(soil, changes=(), patch_log_sd=0.0)
     steered = Autosteer("pid") if k % 4 >= 2 else None
     turn = HeadlandTurn((6.1, 12.2)[k % 2], 6.0)
     return Scenario(
@@ -82,17 +98,78 @@ def scenario_for(k: int, minutes: float) -> Scenario:
     )  # fmt: skip
 
 
-def follow(first: int, minutes: float, k: int) -> Result:
+def variogram(soil: Soil, length_m: float) -> Variogram:
+    """What the field was drawn with: patches, and an end that is wet as if it began anywhere in a row of that
+    length, with the variance that it has."""
+    waves = 2 * np.pi / (soil.patch_length * PATCH_BAND ** np.linspace(0.0, 1.0, 200))
+    metres = np.linspace(0.0, 4000.0, 8001)
+    alike = np.array([j0(waves * at).mean() for at in metres])
+    of_axles = np.full((AXLES, AXLES), soil.patch_common) + (1.0 - soil.patch_common) * np.eye(AXLES)
+    toward, wet = 0.0, 0.0
+    for end in soil.changes:
+        beyond = 1.0 - (end.north or 0.0) / length_m
+        toward, wet = math.radians(end.towards_deg), math.log(end.C_af) ** 2 * beyond * (1.0 - beyond)
+
+    def covariance(apart: Array, _: float) -> Array:
+        north, east = apart
+        patches = np.interp(np.hypot(north, east / soil.patch_across), metres, alike)
+        to_end = np.abs(north * math.cos(toward) + east * math.sin(toward))
+        tiled = np.tile(of_axles, (apart.shape[1], apart.shape[4]))
+        told = soil.patch_log_sd**2 * over_paths(patches) * tiled
+        return np.asarray(told + wet * over_paths(np.exp(-2.0 * to_end / length_m)))
+
+    return Variogram(1.0, soil.patch_length, covariance)
+
+
+class Watch:
+    """Asks at each estimate of the memory: what an oracle would say here, and what it says of the wet end."""
+
+    def __init__(self, run: Driven, asked: Scenario) -> None:
+        self._run, self._axles = run, axles_of(run.truth.rig, run.truth.states)
+        assert isinstance(asked.steering, Fieldwork)
+        self._soil = variogram(asked.soil, asked.steering.length)
+        self._memory = SoilMemory([], np.ones(6))
+        self._into = [at for end in asked.soil.changes for at in _into(end, run.truth, self._axles)]
+        self.told: list[Array] = []  # (13,): time, six logarithms, their sds
+        self.ahead: list[list[float]] = []  # error and sd of the common factor, for each pass after the first
+
+    def __call__(self, state: fold.State, estimate: Estimate) -> None:
+        memory = state.estimators["place"]
+        if estimate.method != "place" or memory.axles is None or not memory.windows:
+            return
+        if self._memory.windows is not memory.windows:
+            self._memory = SoilMemory(memory.windows, memory.prior_sd, [self._soil])
+        at = self._run.seconds_of(estimate.t_ns)
+        here = self._memory.at(memory.axles)
+        mean = memory.prior_mean[:6] + here.mean
+        self.told.append(np.concatenate([[at], mean, np.sqrt(np.diag(here.covariance))]))
+        while len(self._into) > 1 and self._into[1] * STEP_S < at + AHEAD_S:
+            now, there = round(at / STEP_S), self._into.pop(1)
+            said = memory.soil.at(memory.axles + self._axles[there] - self._axles[now])
+            off = memory.prior_mean[:AXLES] + said.mean[:AXLES] - np.log(self._run.truth.soil[there, :AXLES])
+            self.ahead.append([float(off.mean()), math.sqrt(said.covariance[:AXLES, :AXLES].mean())])
+
+
+def _into(end: SoilChange, truth: Truth, axles: Array) -> list[int]:
+    """Samples at which the rear axle comes to be wholly in the wet end."""
+    inside = share(end, truth.time, axles)[:, 1] >= 1.0
+    return (np.flatnonzero(np.diff(inside.astype(int)) > 0) + 1).tolist()
+
+
+def follow(first: int, minutes: float, one_soil: bool, k: int) -> Result:
     """Field number first + k: what was published in it, beside the truth."""
-    began, asked = time.perf_counter(), scenario_for(first + k, minutes)
+    began, asked = time.perf_counter(), scenario_for(first + k, minutes, one_soil)
     machine = estimation_runs.machine()
     truth = drive(machine, first + k, asked.seconds, asked)
-    heard = followed(Driven(machine, truth, machine))
+    run = Driven(machine, truth, machine)
+    watch = Watch(run, asked)
+    heard = followed(run, watch)
     psi, north = truth.states[:, AT["psi_t"]], truth.states[:, AT["x_t"]]
     passes = np.cumsum(np.abs(np.diff(np.cos(psi) > 0.0, prepend=np.cos(psi[0]) > 0.0)))
+    series = {**heard.series, ORACLE: np.array(watch.told)}
     methods = {}
-    for method in METHODS:
-        told = heard.series.get(method, np.zeros((0, 13)))
+    for method in (*METHODS, ORACLE):
+        told = np.reshape(series.get(method, ()), (-1, 13))
         at = np.clip((told[:, 0] / STEP_S).round().astype(np.int64), 0, len(psi) - 1)
         methods[method] = {
             "error": (told[:, 1:7] - np.log(truth.soil[at])).tolist(),
@@ -102,25 +179,72 @@ def follow(first: int, minutes: float, k: int) -> Result:
             "stretch": np.floor(north[at] / asked.soil.patch_length).tolist(),
         }
     return {
-        "row": NAME, "seed": k, "first": first, "scale": minutes, "field": first + k, "methods": methods,
+        "row": name_of(one_soil), "seed": k, "first": first, "scale": minutes, "field": first + k,
+        "methods": methods, "ahead": watch.ahead,
+        "changes": [at for at, kind, _ in heard.events if kind == "soil_change"],
         "patch_m": asked.soil.patch_length, "patch_sd": asked.soil.patch_log_sd,
         "took_s": time.perf_counter() - began,
     }  # fmt: skip
 
 
-def row(first: int, bench: Bench) -> list[Line]:
+def name_of(one_soil: bool) -> str:
+    return f"{NAME}, one soil" if one_soil else NAME
+
+
+def row(first: int, one_soil: bool, bench: Bench) -> list[Line]:
     """The lines of the table; fields that a file has are not driven again."""
-    have = {
-        seed: made for seed, made in spatial_rows.kept(bench, NAME).items() if made["first"] == first
-    }  # fmt: skip
-    made = bench.each(partial(follow, first, bench.scale), 8, have, partial(spatial_rows.keep, bench))
-    return lines_of(made)
+    run = partial(follow, first, bench.scale, one_soil)
+    have = spatial_rows.kept(bench, name_of(one_soil), first)
+    return lines_of(bench.each(run, 8, have, partial(spatial_rows.keep, bench)))
 
 
 def lines_of(made: Sequence[Result]) -> list[Line]:
     return [
-        line for method in METHODS for k, where in enumerate(WHERE) for line in _lines(made, method, where, k)
-    ]
+        *(
+            line
+            for method in METHODS
+            for k, where in enumerate(WHERE)
+            for line in _lines(made, method, where, k)
+        ),
+        *(line for k, where in enumerate(WHERE) for line in _scores(made, where, k)),
+        *_ahead(made),
+        Line("soil_change was told, in each field", " ".join(str(len(one["changes"])) for one in made)),
+    ]  # fmt: skip
+
+
+def _ahead(made: Sequence[Result]) -> Iterator[Line]:
+    told = np.array([each for one in made for each in one["ahead"]])
+    if len(told):
+        error, sd = np.abs(told).T
+        half = float(np.median(Z * sd))
+        yield Line(
+            f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the "
+            "common factor; median error",
+            percents([half, float(np.median(error))], 0), "≤ 20 %", half <= AHEAD,
+        )  # fmt: skip
+        holds = float(np.mean(error < Z * sd))
+        yield Line("wet end: intervals hold", percents([holds], 0), "≥ 92 %", holds >= HOLD)
+
+
+def _scores(made: Sequence[Result], where: str, turn: int) -> Iterator[Line]:
+    """Mean interval scores of the stiffnesses, over the oracle's: width of 95 %, and 40 times how far the
+    truth is outside (Gneiting and Raftery 2007)."""
+    scores = {}
+    for method in (*METHODS, ORACLE):
+        each = []
+        for one in made:
+            told = one["methods"][method]
+            of_turn = np.array(told["turn"], dtype=bool) == bool(turn)
+            error, sd = (np.reshape(told[key], (-1, 6)).astype(float)[of_turn, :3] for key in ("error", "sd"))
+            each.append(2 * Z * sd + 40.0 * np.maximum(np.abs(error) - Z * sd, 0.0))
+        pooled = np.concatenate(each)
+        scores[method] = np.nanmean(pooled, axis=0) if np.isfinite(pooled).any() else np.full(3, math.nan)
+    for method in METHODS:
+        over = scores[method] / scores[ORACLE]
+        yield Line(
+            f"{method}, {where}: mean interval score of C over the oracle's", figures(over), f"≤ {SCORE}",
+            bool(over.mean() <= SCORE) if method != "pem" else None, over.tolist(),
+        )  # fmt: skip
 
 
 def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterator[Line]:
@@ -159,34 +283,12 @@ def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterat
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--count", type=int, default=8, help="fields")
-    parser.add_argument("--first", type=int, default=0, help="number of the first field")
+    parser = drives_parser(__doc__, 8, "patches.jsonl", "fields")
     parser.add_argument("--minutes", type=float, default=12.0, help="of each drive")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--keep", type=Path, default=Path("patches.jsonl"), help="file of what is done")
-    parser.add_argument("--summary", action="store_true", help="only read what is there")
-    args = parser.parse_args()
-    if args.count < 1 or args.first < 0 or args.processes < 1 or not 0.0 < args.minutes <= 600.0:
-        parser.error("give a count, minutes and processes above zero, and no negative --first")
-    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
-    console = Console(width=None if Console().is_terminal else 150)
-    bench = Bench(args.count, kept=args.keep, scale=args.minutes)
-    began = time.perf_counter()
-    if args.summary:
-        kept = spatial_rows.kept(bench, NAME).values()
-        lines = lines_of([one for one in kept if one["first"] == args.first])
-    else:
-        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-        with (
-            ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
-            Progress(*columns, console=console, transient=True) as progress,
-        ):
-            lines = row(args.first, replace(bench, pool=pool, progress=progress))
-    title = Row(NAME, "≥ 92 % hold", partial(row, args.first))
-    console.print(table_of(title, lines, f"{time.perf_counter() - began:.0f} s"))
+    parser.add_argument("--one-soil", action="store_true", help="without patches and wet end")
+    args = drives_asked(parser)
+    rows = [Row(name_of(args.one_soil), "≥ 92 % hold", partial(row, args.first, args.one_soil))]
+    print_rows(args, rows, args.minutes, 150)
 
 
 if __name__ == "__main__":

@@ -13,26 +13,29 @@ each drive: error (sd, bound) of the six in %, rms of the wheel angle and of wha
 and its share: by another drive without ground, by past innovations at the truth, and as the fit says.
 """
 
-import argparse
-import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, poses_and_segments
-from estimation_table import Bench, Line, Row, Z, figures, percents, table_of
+from estimation_table import (
+    Bench,
+    Line,
+    Row,
+    Z,
+    drives_asked,
+    drives_parser,
+    figures,
+    percents,
+    print_rows,
+)
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress, TimeElapsedColumn
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
@@ -41,7 +44,6 @@ from studies.rows.own_share import own_of
 from studies.rows.study import longest
 from tilth.estimator.methods import rows
 from tilth.estimator.record.record import Record, concatenate
-from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
@@ -181,8 +183,7 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
 
 def row(name: str, first: int, bench: Bench) -> list[Line]:
     """The lines of the table; drives that a file has are not made again."""
-    kept = spatial_rows.kept(bench, f"{NAME} {name}")
-    have = {seed: made for seed, made in kept.items() if made["first"] == first}
+    have = spatial_rows.kept(bench, f"{NAME} {name}", first)
     run = partial(follow, name, first, bench.scale)
     return lines_of(bench.each(run, 12, have, partial(spatial_rows.keep, bench)))
 
@@ -253,41 +254,12 @@ def _drives(made: Sequence[Result]) -> Iterator[Line]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = drives_parser(__doc__, 12, "rows.jsonl")
     parser.add_argument("--row", choices=ROWS, default="usual")
-    parser.add_argument("--count", type=int, default=12, help="drives")
-    parser.add_argument("--first", type=int, default=0, help="number of the first rig and cell")
     parser.add_argument("--minutes", type=float, default=2.0, help="of row that count, of each drive")
-    parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--keep", type=Path, default=Path("rows.jsonl"), help="file of what is done")
-    parser.add_argument("--summary", action="store_true", help="only read what is there")
-    args = parser.parse_args()
-    if (
-        args.count < 1
-        or args.first < 0
-        or args.processes < 1
-        or not math.isfinite(args.minutes)
-        or args.minutes <= 0
-    ):
-        parser.error("give a count, minutes and processes above zero, and no negative --first")
-    os.environ.update(dict(ONE_THREAD.items()))  # of the processes that are started below
-    console = Console(width=None if Console().is_terminal else 230)
-    bench = Bench(args.count, kept=args.keep, scale=args.minutes)
-    began = time.perf_counter()
-    if args.summary:
-        made = spatial_rows.kept(bench, f"{NAME} {args.row}").values()
-        lines = lines_of([one for one in made if one["first"] == args.first])
-    else:
-        columns = (*Progress.get_default_columns(), TimeElapsedColumn())
-        with (
-            ProcessPoolExecutor(args.processes, get_context("spawn")) as pool,
-            Progress(*columns, console=console, transient=True) as progress,
-        ):
-            lines = row(args.row, args.first, replace(bench, pool=pool, progress=progress))
+    args = drives_asked(parser)
     title = Row(f"{NAME} {args.row}", REACH_TEXT, partial(row, args.row, args.first))
-    console.print(table_of(title, lines, f"{time.perf_counter() - began:.0f} s; {REACH_TEXT}"))
+    print_rows(args, [title], args.minutes, 230)
 
 
 if __name__ == "__main__":

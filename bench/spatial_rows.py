@@ -56,8 +56,9 @@ def results(bench: Bench, name: str) -> list[Result]:
     return bench.each(run, ROW[name].runs, kept(bench, name), partial(keep, bench))
 
 
-def kept(bench: Bench, name: str) -> dict[int, Result]:
-    """Seed -> result, of the runs that a file has; a line that was cut short is none."""
+def kept(bench: Bench, name: str, first: int | None = None) -> dict[int, Result]:
+    """Seed -> result, of the runs that a file has; a line that was cut short is none. first: of the drives
+    that count from this one only."""
     have: dict[int, Result] = {}
     if bench.kept is None or not bench.kept.exists():
         return have
@@ -66,7 +67,7 @@ def kept(bench: Bench, name: str) -> dict[int, Result]:
             made = json.loads(line)
         except ValueError:
             continue
-        if made.get("row") == name and made["scale"] == bench.scale:
+        if (made.get("row"), made.get("first"), made.get("scale")) == (name, first, bench.scale):
             have[made["seed"]] = made
     return have
 

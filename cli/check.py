@@ -9,6 +9,7 @@ from tilth.cli import duration
 from tilth.logger.checks.check import check
 from tilth.logger.checks.finding import Level
 from tilth.logger.machine_file import read_machine
+from tilth.schemas.rule_of_thumb import DRAWING
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -35,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"ok": fine, "checks": [asdict(finding) for finding in findings]}))
     else:
+        print(DRAWING)
         for finding in findings:
             print(f"{finding.state.upper():8} {finding.what}: {finding.text}")
     return 0 if fine else 1

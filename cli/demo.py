@@ -5,24 +5,37 @@ import contextlib
 import json
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import Final
 
 from rich.console import Console
 
 from tilth.cli import WrongUse, duration, say
+from tilth.cli.zenoh_options import add_host
 from tilth.logger.child import words_of
 from tilth.logger.display import Display
 from tilth.logger.job import Job, JobEnded
-from tilth.logger.status_line import PanelDisplay, PlainDisplay
+from tilth.logger.status_line import LineDisplay, PlainDisplay
 from tilth.schemas.invocation import command
 from tilth.schemas.readable import reason_of
-from tilth.simulator.demo import SPATIAL, Demo, DemoError, comparison_table, reasons, result, run_demo
+from tilth.simulator.demo import (
+    SPATIAL,
+    Demo,
+    DemoError,
+    comparison_table,
+    reasons,
+    result,
+    run_demo,
+    truth_and_estimate,
+)
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
 _say = partial(say, "demo")
+
+STAYING_S: Final = 0.2  # between two looks whether the page is to stay
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -63,6 +76,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--log", type=Path, default=Path("logs"), metavar="DIR", help="folder of the log (logs)"
     )
     parser.add_argument("--no-page", action="store_true", help="do not serve the live page meanwhile")
+    add_host(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
 
 
@@ -87,9 +101,9 @@ def run(args: argparse.Namespace) -> int:
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, stop)
     plain = args.json or not sys.stdout.isatty()
-    display = PlainDisplay(sys.stderr) if plain else PanelDisplay("simulated")
-    with contextlib.ExitStack() as page_stack:
-        watch = None if args.no_page else lambda endpoint: page_stack.callback(_page(endpoint))
+    display = PlainDisplay(sys.stderr) if plain else LineDisplay()
+    with contextlib.closing(_Page(args.host)) as page:
+        watch = None if args.no_page else page.open
         drive = _guidance if args.guidance else _demo
         try:
             tell = drive(args, display, lambda: stopping, watch)
@@ -98,7 +112,10 @@ def run(args: argparse.Namespace) -> int:
             return 1
         finally:
             display.close()
-    return tell()
+        status, over = tell()
+        if not plain and not stopping:
+            page.stay(over, lambda: stopping)
+    return status
 
 
 def _check_spatial(guidance: bool) -> None:
@@ -113,20 +130,21 @@ def _check_spatial(guidance: bool) -> None:
 
 Stop = Callable[[], bool]
 Watch = Callable[[str], object] | None
-Tell = Callable[[], int]
-"""Says how it was, once the display is closed; the exit status."""
+Tell = Callable[[], tuple[int, dict[str, object]]]
+"""Says how it was, once the display is closed; the exit status, and what the page says."""
 
 
 def _demo(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) -> Tell:
     scenario = SPATIAL if args.spatial else None
     demo = run_demo(args.seconds or 90.0, args.seed, args.log, display, stop, _say, watch, scenario)
 
-    def tell() -> int:
+    def tell() -> tuple[int, dict[str, object]]:
         if args.json:
             print(json.dumps(result(demo)))
         else:
             _tell(demo)
-        return 1 if demo.frames_lost or demo.summary.faults else 0
+        over = {"rows": truth_and_estimate(demo), **_next(demo.summary.log_files)}
+        return (1 if demo.frames_lost or demo.summary.faults else 0), over
 
     return tell
 
@@ -159,7 +177,7 @@ def _guidance(args: argparse.Namespace, display: Display, stop: Stop, watch: Wat
     work = FROM_CHANGE if args.from_change else WORK
     guided = run_guidance(args.seed, args.log, display, stop, _say, watch, work)
 
-    def tell() -> int:
+    def tell() -> tuple[int, dict[str, object]]:
         console = Console()
         console.print(table(guided))
         refused = guided.commands["refused"]
@@ -173,19 +191,57 @@ def _guidance(args: argparse.Namespace, display: Display, stop: Stop, watch: Wat
             console.print(f"Figure: {guided.figure}", soft_wrap=True, highlight=False)
         files = " ".join(str(path) for path in guided.summary.log_files)
         console.print(f"Log:    {files}", soft_wrap=True, highlight=False)
-        return 1 if refused or guided.summary.faults else 0
+        over = {"rows": [], **_next(guided.summary.log_files)}
+        return (1 if refused or guided.summary.faults else 0), over
 
     return tell
 
 
-def _page(endpoint: str) -> Callable[[], None]:
-    """Start the live page, as `tilth monitor` does, and say where it is. Returns what ends it."""
-    page = Job(words_of("tilth.cli", "monitor", "--connect", endpoint, "--port", "0"), aloud=True)
-    try:
-        _say(f"watch it at {(page.next() or b'').decode().strip()}")
-    except JobEnded:
-        _say(f"there is no page: `{command('monitor')}` says why")
-    return page.close
+class _Page:
+    """The live page, a process of its own."""
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self._job: Job | None = None
+        self._address = ""
+
+    def open(self, endpoint: str) -> None:
+        """Start it, and say where it is and what is to be seen there."""
+        self._job = Job(words_of("tilth.cli.demo_page", endpoint, self._host), [], aloud=True)
+        try:
+            self._address = (self._job.next() or b"").decode().strip()
+        except JobEnded:
+            _say(f"there is no page: `{command('monitor')}` says why")
+            return
+        _say(f"watch it at {self._address}")
+        _say("there: the field from above, the five sensors, and what is learned of soil and tyres")
+
+    def stay(self, over: dict[str, object], stop: Stop) -> None:
+        """It says what the demo gave, and stays until then."""
+        if self._job is None or not self._job.alive:
+            return
+        self._job.send(json.dumps(over).encode())
+        _say(f"over; the page stays at {self._address} until Ctrl-C")
+        with contextlib.suppress(JobEnded):
+            while not stop():
+                if line := self._job.next(STAYING_S):
+                    _say(line.decode())
+
+    def close(self) -> None:
+        if self._job is not None:
+            self._job.close()
+
+
+def _next(log_files: Sequence[Path]) -> dict[str, object]:
+    """What to do with the logs."""
+    files = [str(path) for path in log_files]
+    steps = [
+        ("the report of this drive", command("report", *files, "--out", "demo.html")),
+        ("play it again", command("monitor", *files)),
+        ("compute it again, to the byte", command("replay", *files, "--verify")),
+        ("draft a machine file of your own rig", command("discover", "--bus", "socketcan:can0")),
+    ]
+    return {"files": files, "next": steps if files else steps[-1:]}
 
 
 def _tell(demo: Demo) -> None:
@@ -193,13 +249,11 @@ def _tell(demo: Demo) -> None:
     console.print(comparison_table(demo))
     for reason in reasons(demo):
         console.print(reason, highlight=False)
-    files = " ".join(str(path) for path in demo.summary.log_files)
     lost = f", [bold red]{demo.frames_lost} lost[/]" if demo.frames_lost else ", none lost"
     console.print(f"{demo.frames_sent} frames sent, {demo.summary.recorded} logged{lost}.")
-    if files:
-        console.print(f"Log:    {files}", soft_wrap=True, highlight=False)
-        console.print(
-            f"Replay: {command('replay', *map(str, demo.summary.log_files))}", soft_wrap=True, highlight=False
-        )
-    else:
+    files = demo.summary.log_files
+    if not files:
         console.print("No log was written.")
+        return
+    console.print(f"Log:    {' '.join(map(str, files))}", soft_wrap=True, highlight=False)
+    console.print(f"Replay: {command('replay', *map(str, files))}", soft_wrap=True, highlight=False)

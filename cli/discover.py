@@ -24,6 +24,7 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
 from tilth.schemas.readable import reason_of
+from tilth.schemas.rule_of_thumb import Lengths, Weights, by_scale
 from tilth.schemas.sentences import notice_sentence
 
 _say = partial(say, "discover")
@@ -50,6 +51,19 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="such as socketcan:can0 or slcan:/dev/ttyUSB0,bitrate=250000; may be given several times",
     )
     parser.add_argument("--seconds", type=duration, default=30.0, metavar="N", help="how long to listen (30)")
+    parser.add_argument(
+        "--scale",
+        type=_weights,
+        metavar="FRONT,REAR,AXLE,TONGUE",
+        help="weights, kg: the axles of the tractor alone, the implement's axle and its tongue; with --tape, "
+        "the draft has masses, places of the CGs, and yaw inertias by a rule of thumb",
+    )
+    parser.add_argument(
+        "--tape",
+        type=_lengths,
+        metavar="WHEELBASE,HITCH,DRAWBAR",
+        help="lengths, m: the wheelbase, the hitch behind the rear axle, hitch to implement's axle",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the draft there, not to the screen")
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
 
@@ -60,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(
             "give --bus INTERFACE:CHANNEL to listen, such as --bus socketcan:can0, or logs to look into"
         )
+    if (args.scale is None) != (args.tape is None):
+        raise WrongUse("--scale and --tape belong together: give both")
     if args.out is not None and args.out.exists():
         raise WrongUse(f"{args.out}: exists; it is not overwritten, give another name")
     buses = parse_buses(args.bus)
@@ -76,8 +92,28 @@ def run(args: argparse.Namespace) -> int:
         if not status:
             _say("no frame was heard; check that the devices are on, the channel and the bit rate")
         return status or 1
-    _answer(args, findings, draft(findings, buses))
+    measured = by_scale(args.scale, args.tape) if args.scale is not None else None
+    _answer(args, findings, draft(findings, buses, measured))
     return status
+
+
+def _weights(text: str) -> Weights:
+    return Weights(*_numbers(text, Weights._fields))
+
+
+def _lengths(text: str) -> Lengths:
+    return Lengths(*_numbers(text, Lengths._fields))
+
+
+def _numbers(text: str, names: Sequence[str]) -> list[float]:
+    """argparse type: as many numbers above zero."""
+    try:
+        found = [float(one) for one in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != len(names) or not all(0.0 < one < 1e6 for one in found):
+        raise argparse.ArgumentTypeError(f"{text}: give {len(names)} numbers above zero: {', '.join(names)}")
+    return found
 
 
 def _logged(logs: Sequence[Path]) -> Iterator[Frame]:

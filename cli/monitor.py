@@ -10,6 +10,7 @@ from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_
 from tilth.monitor.addresses import urls
 from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.server import listening_socket, serve
+from tilth.monitor.view import View
 
 PORT = 8117
 MARK = "mark: notes in the log of the run"
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
             for url in urls("http", host, port):
                 print(f"{url}/", flush=True)
             say_who_reaches(host, f"may see the page and {'play' if args.logs else MARK}")
-            serve(daemon_data, endpoint, listener)
+            serve(daemon_data, View(daemon_data, endpoint), listener)
     return 0
 
 

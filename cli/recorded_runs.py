@@ -28,15 +28,16 @@ _say = partial(say, "monitor")
 ANY_PORT = "tcp/127.0.0.1:0"
 
 
-def play(args: argparse.Namespace, stack: ExitStack) -> str:
-    """Start a player; the stack ends it. Where it can be heard. Raises CommandFailed, WrongUse."""
+def play(args: argparse.Namespace, stack: ExitStack, aloud: bool = True) -> str:
+    """Start a player; the stack ends it. Where it can be heard. aloud: it says so on the terminal, with how
+    far it is. Raises CommandFailed, WrongUse."""
     if args.config is not None or args.replay:
         raise WrongUse("--config and --replay are of a daemon that runs: leave them out where you give logs")
     given = read_machine(Path(args.machine)) if args.machine else None
     opening = Opening(kept_logs(), args.prefix, given, tuple(args.bus), _say)
     with log_errors():
         runs = {one.name: one for one in run_files(args.logs)}
-        opened = _opened(opening, next(iter(runs.values()))) if len(runs) == 1 else None
+        opened = _opened(opening, next(iter(runs.values())), aloud) if len(runs) == 1 else None
     machine = opened.machine if opened else _any_machine(opening, list(runs.values()))
 
     def listings() -> Iterator[pb.RunListing]:
@@ -52,14 +53,15 @@ def play(args: argparse.Namespace, stack: ExitStack) -> str:
     player = PlayerService(session, machine, sources, time.monotonic)
     player.start(opened)
     stack.callback(player.close)
-    _say(f"publishing under {args.prefix}/{machine.name}/replay at {endpoints[0]}")
+    if aloud:
+        _say(f"publishing under {args.prefix}/{machine.name}/replay at {endpoints[0]}")
     return endpoints[0]
 
 
-def _opened(opening: Opening, run: CatalogueRun) -> OpenedRun:
+def _opened(opening: Opening, run: CatalogueRun, aloud: bool) -> OpenedRun:
     """With a progress bar where there is somebody to see it. Raises LogError, OSError."""
     with ExitStack() as stack:
-        return opening.open(run, stages(stack))
+        return opening.open(run, stages(stack) if aloud else lambda text, share: None)
 
 
 def _any_machine(opening: Opening, runs: list[CatalogueRun]) -> Machine:

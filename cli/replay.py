@@ -204,6 +204,7 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
             "difference": comparison.difference or None,
             "unverifiable": comparison.unverifiable,
             "to_the_byte": comparison.to_the_byte,
+            "ties": comparison.ties,
             "recorded_elsewhere": comparison.elsewhere or None,
             "largest": None if comparison.largest is None else comparison.largest._asdict(),
         }
@@ -256,13 +257,20 @@ def _compared(comparison: Comparison) -> str:
     if comparison.elsewhere:
         found = (
             f"{comparison.compared} results are equal within their tolerances, {comparison.to_the_byte} of "
-            f"them to the byte{_largest(comparison)}; no decision differs. They were recorded elsewhere: "
-            f"{comparison.elsewhere}."
+            f"them to the byte{_largest(comparison)}; no decision differs{_ties(comparison)}. They were "
+            f"recorded elsewhere: {comparison.elsewhere}."
         )
     if not comparison.unverifiable:
         return f"All {found}"
     damaged = f"{comparison.unverifiable} behind what is damaged, up to the next stored state."
     return f"{found} Not verifiable: {damaged}"
+
+
+def _ties(comparison: Comparison) -> str:
+    if not comparison.ties:
+        return ""
+    what = "1 fit ends" if comparison.ties == 1 else f"{comparison.ties} fits end"
+    return f"; {what} elsewhere here, as near the maximum, and the logged result was used"
 
 
 def _largest(comparison: Comparison) -> str:

@@ -25,14 +25,19 @@ def add_daemon(parser: argparse.ArgumentParser, also: str = "") -> None:
 
 def add_address(parser: argparse.ArgumentParser, port: int) -> None:
     """Where to serve."""
+    add_host(parser)
+    parser.add_argument(
+        "--port", type=int, default=port, metavar="N", help=f"0 for any that is free ({port})"
+    )
+
+
+def add_host(parser: argparse.ArgumentParser) -> None:
+    """At which address to serve."""
     parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
         help="of this computer to serve at (127.0.0.1: this computer alone; 0.0.0.0: all in its networks)",
-    )
-    parser.add_argument(
-        "--port", type=int, default=port, metavar="N", help=f"0 for any that is free ({port})"
     )
 
 

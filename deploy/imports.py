@@ -6,6 +6,7 @@ The sources are read, not run → docs/imports.svg: the folders, and the rooms o
 import ast
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from html import escape
 from pathlib import Path
@@ -72,9 +73,14 @@ def sources() -> dict[str, str]:
     }
 
 
-def imported(source: str) -> Iterator[str]:
+@cache  # parsing all sources takes seconds, and each drawing and check asks anew
+def imported(source: str) -> frozenset[str]:
     """What of tilth and of the studies a module imports anywhere in it, in a function too:
     `estimator.pose.body.centre`."""
+    return frozenset(_imported(source))
+
+
+def _imported(source: str) -> Iterator[str]:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]

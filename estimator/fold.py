@@ -17,7 +17,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, place
+from tilth.estimator.methods import open_tracker, place, rows, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -26,7 +26,7 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.recognition import Recognition
 from tilth.estimator.record import record_builder
 from tilth.estimator.results.flag_events import flag_events
-from tilth.estimator.results.method_state import take_events
+from tilth.estimator.results.method_state import SixState, take_events
 from tilth.estimator.results.recommend import OFFERED, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.state import State as State
@@ -279,7 +279,8 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         return
     evidence = None
     if diagnosis.is_judged(state.aligner, pose):
-        evidence = open_tracker.observe(state.open, state.machine, segment)
+        believing = state.estimators[tracker.METHOD]
+        evidence = open_tracker.observe(state.open, state.machine, segment, believing)
     of_file = diagnosis.look_at_file(state.diagnosis, state.aligner, pose, evidence)
     _apply(state, of_file, t_ns, out)
     if of_file.withhold and segment is not None:
@@ -331,14 +332,26 @@ def _publish_event(state: State, t_ns: int, kind: str, told: Notice, out: list[P
     out.append(Publication(t_ns, "/event", Event(t_ns, kind, told, *at)))
 
 
-def _publish_events(state: State, t_ns: int, row: Estimator, out: list[Publication]) -> None:
-    """Publish the events of a method since the last call."""
+def _publish_events(
+    state: State, t_ns: int, row: Estimator, out: list[Publication], foreseen: bool | None = None
+) -> None:
+    """Publish the events of a method since the last call. foreseen: whether the memory by place knew of a
+    change of soil that a fit has found; None: ask it."""
     for kind, told in take_events(state.estimators[row.method]):
         if kind != EventKind.SOIL_CHANGE:
             _publish_event(state, t_ns, kind, told, out)
         elif state.diagnosis.confirmed:  # before that, the file may be the cause
-            _publish_event(state, t_ns, kind, told, out)
+            if foreseen is None:
+                foreseen = _expected(state, row)
+            if not foreseen:
+                _publish_event(state, t_ns, kind, told, out)
             _apply(state, diagnosis.soil_changed(state.diagnosis), t_ns, out)
+
+
+def _expected(state: State, row: Estimator) -> bool:
+    """Whether the soil that a method finds here is as the memory by place knows it."""
+    found = state.estimators[row.method]
+    return isinstance(found, SixState) and place.expects(state.estimators[place.METHOD], found.mean)
 
 
 def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: list[Publication]) -> None:
@@ -363,11 +376,16 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
-    for other in rows_for(state.machine):
-        if other.learn is not None and made is not None and method_state.job is not None:
-            other.learn(state.estimators[other.method], method_state.job, made)
+    foreseen, learners = False, [other for other in rows_for(state.machine) if other.learn is not None]
+    for other in learners if made is not None and method_state.job is not None else []:
+        if other.learn is not None:
+            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
+    if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
+        diagnosis.rows_tell(state.diagnosis, made.of_file, made.seconds)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
-    _publish_events(state, t_ns, row, out)
+    _publish_events(state, t_ns, row, out, foreseen)
+    for other in learners:
+        _publish_events(state, t_ns, other, out, False)
     _publish_estimates(state, t_ns, [estimate], out)
     return out
 

@@ -10,6 +10,7 @@ notice.
 import builtins
 import dis
 import hashlib
+import inspect
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from enum import Enum
@@ -172,7 +173,8 @@ def _code_text(function: FunctionType, code: CodeType) -> str:
         for item in code.co_consts
     ]
     names = (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars)
-    counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
+    flags = code.co_flags | inspect.CO_OPTIMIZED  # which numba takes away in a process that is profiled
+    counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, flags)
     return repr((code.co_code, code.co_exceptiontable, names, counts, constants))
 
 

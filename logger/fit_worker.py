@@ -4,15 +4,18 @@ Its parent tells it the machine and then jobs, each in a line; it answers each j
 """
 
 import contextlib
+import hashlib
+import json
 import os
 import queue
 import threading
 import time
-from typing import IO, Any, Final
+from typing import IO, Any, Final, get_type_hints
 
 from threadpoolctl import threadpool_limits
 
 from tilth.estimator.methods.estimators import ROW, Fitting, rows_for
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.child import packed, unpacked
 from tilth.schemas.machine import Machine
 
@@ -34,6 +37,24 @@ def make(machine: Machine, method: str, job: Any) -> tuple[Any, str]:
             return fitting.fit(machine, job), ""
     except Exception as error:  # whatever the numerics may say, it is a fit less
         return None, f"{type(error).__name__}: {error}"
+
+
+def as_text(made: Any) -> str:
+    """A result as JSON, for the log."""
+    return json.dumps(to_json_data(made), separators=(",", ":"))
+
+
+def of_text(method: str, text: str) -> Any:
+    """The result that `as_text` wrote. Raises ValueError, also for one of another version."""
+    fitting = ROW[method].fitting
+    assert fitting is not None
+    return from_json_data(get_type_hints(fitting.fit)["return"], json.loads(text))
+
+
+def job_sha256(machine: Machine, job: Any) -> str:
+    """Of all that a result depends on, besides the code and the arithmetic of the computer."""
+    made_of = json.dumps([machine.model_dump(mode="json"), to_json_data(job)])
+    return hashlib.sha256(made_of.encode()).hexdigest()
 
 
 def rehearse(fitting: Fitting, machine: Machine) -> None:

@@ -12,11 +12,14 @@ from concurrent.futures import Future
 from queue import SimpleQueue
 from typing import Any, Final, Protocol
 
+from tilth.estimator.methods.fitted import alike
 from tilth.logger.child import packed, unpacked, words_of
-from tilth.logger.fit_worker import Answer, make
+from tilth.logger.fit_worker import Answer, as_text, job_sha256, make, of_text
 from tilth.logger.job import STOPPED, Job, JobEnded
+from tilth.logger.log.software import computed_elsewhere
+from tilth.logger.log.software import software as here
 from tilth.logger.priority import FITS
-from tilth.schemas.flow import EventKind
+from tilth.schemas.flow import EventKind, FitOutcome
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice
 
@@ -213,7 +216,9 @@ def _report_failure(report: Report, method: str, error: str) -> None:
 class ReplayedFits:
     """Fits of a replay: in time, late or dropped as the log says; where it says nothing, in time.
 
-    Each is made in a thread, so that a replay in real time goes on meanwhile.
+    Each is made in a thread, so that a replay in real time goes on meanwhile. None is made where the log
+    holds its result, of the same job, machine file, code and arithmetic, unless the log is verified. A log
+    that is verified on another kind of computer goes on from its own results, where those here are alike.
     """
 
     def __init__(self, machine: Machine, report: Report) -> None:
@@ -222,12 +227,21 @@ class ReplayedFits:
         self._machine = machine
         self._report = report
         self._asked: dict[str, tuple[int, Future[Any]]] = {}  # method -> asked_ns of its job, and the result
-        self._outcomes: dict[tuple[str, int], tuple[bool, bool]] = {}  # adopted, awaited
+        self.ties = 0  # results of the log that were used though here they are others
+        self._elsewhere = False  # the log is verified, and was recorded where the last digits are others
+        self._trusted = False  # the results of the log are those that would be computed here
+        self._outcomes: dict[tuple[str, int], FitOutcome] = {}
         self._first: dict[tuple[str, int], int] = {}  # t_ns at which an outcome was first asked for
 
-    def add_outcome(self, method: str, asked_ns: int, adopted: bool, awaited: bool = False) -> None:
-        """Take an outcome from the log. adopted, awaited: as in flow.FitOutcome."""
-        self._outcomes[method, asked_ns] = adopted, awaited
+    def recorded_by(self, software: Mapping[str, str], verified: bool) -> None:
+        """What follows was computed by this (metadata "tilth" of its log). verified: it is compared."""
+        other = bool(computed_elsewhere(software))
+        self._elsewhere = verified and other
+        self._trusted = not verified and not other and software.get("estimator") == here()["estimator"]
+
+    def add_outcome(self, outcome: FitOutcome) -> None:
+        """Take an outcome from the log."""
+        self._outcomes[outcome.method, outcome.asked_ns] = outcome
 
     def forget(self) -> None:
         """The log goes on with another state, or another run."""
@@ -236,6 +250,10 @@ class ReplayedFits:
         self._first.clear()
 
     def ask(self, method: str, job: Any) -> None:
+        if not self._trusted:  # else it is made only if the log has another, or none
+            self._begin(method, job)
+
+    def _begin(self, method: str, job: Any) -> None:
         if method in self._asked and self._asked[method][0] == job.asked_ns:
             return
         result: Future[Any] = Future()
@@ -258,11 +276,30 @@ class ReplayedFits:
         ):
             return UNDECIDED
         self._first.pop(key, None)
-        adopted, late = self._outcomes.pop(key, (True, False))
-        return self.made(method, job) if adopted else LATE if late else None
+        logged = self._outcomes.pop(key, None)
+        if logged is None:
+            return self.made(method, job)
+        return self._adopted(job, logged) if logged.adopted else LATE if logged.awaited else None
+
+    def _adopted(self, job: Any, logged: FitOutcome) -> Any:
+        """The result of a job that was adopted: the logged one if it is known to be the same, or as good."""
+        method, text = logged.method, logged.result
+        if text and self._trusted and logged.job_sha256 == job_sha256(self._machine, job):
+            return of_text(method, text)
+        made = self.made(method, job)
+        if not (text and self._elsewhere) or made is None or as_text(made) == text:
+            return made
+        try:
+            of_log = of_text(method, text)
+        except ValueError:  # of another version
+            return made
+        if not (hasattr(made, "covariance") and alike(made, of_log)):
+            return made
+        self.ties += 1
+        return of_log
 
     def made(self, method: str, job: Any) -> Any:
-        self.ask(method, job)
+        self._begin(method, job)
         return self._asked.pop(method)[1].result()
 
     def use(self, machine: Machine) -> None:

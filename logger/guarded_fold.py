@@ -4,8 +4,9 @@ Live and replay both drive this, so that a replay fails where the live run faile
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from tilth.estimator.diagnosis import diagnosis, watch
 from tilth.estimator.diagnosis.watch import Moved
@@ -31,6 +32,7 @@ from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.logger.fit_worker import as_text, job_sha256, of_text
 from tilth.logger.fitting import LATE, UNDECIDED, Fitter, InPlace
 from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
@@ -64,11 +66,20 @@ _METHOD_OF = {  # topic -> method, of all channels that carry estimates
 class GuardedFold:
     """`take` never raises. After a fault the estimates are published as invalid and the state starts anew."""
 
-    def __init__(self, machine: Machine, state_json: str | None = None, fitter: Fitter | None = None) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        state_json: str | None = None,
+        fitter: Fitter | None = None,
+        *,
+        encoded: bool = True,
+    ) -> None:
         """The fold before the first frame, or as `renew` wrote it. Raises NotRestorable for another's text.
 
-        fitter: makes the fits that are asked for; None: at once, here.
+        fitter: makes the fits that are asked for; None: at once, here. encoded: False where nobody reads the
+        bytes of what it gives; they are empty then.
         """
+        self._payload: Callable[[Publication], bytes] = payload if encoded else lambda publication: b""
         self.state: State = initial(machine) if state_json is None else restore(machine, state_json)
         self.faults = 0
         self.estimates = dict(self.state.estimates)  # method -> the last, also of a fault
@@ -84,6 +95,7 @@ class GuardedFold:
             if decided not in (OPEN, AWAITED):  # between its outcome and the next frame
                 taken = decided == TAKEN
                 made = self._fitter.made(method, job) if taken else None
+                made = made and of_text(method, as_text(made))
                 self._decided.append((FitOutcome(due_ns, method, job.asked_ns, taken), made))
         self._due_ns = self._first_due_ns()
         self._resume_ns = 0
@@ -133,7 +145,7 @@ class GuardedFold:
         self._decided.clear()
         self._due_ns = self._first_due_ns()
         self.estimates = dict(self.state.estimates)
-        return [(publication, payload(publication)) for publication in publications]
+        return [(publication, self._payload(publication)) for publication in publications]
 
     @property
     def measurements(self) -> int:
@@ -180,10 +192,10 @@ class GuardedFold:
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
             publications += self.decided(self.state.latest_ns)
-            encoded = [(publication, payload(publication)) for publication in publications]
+            encoded = [(publication, self._payload(publication)) for publication in publications]
         except Exception as error:  # the one edge where the fold's errors are caught
             publications = self._start_anew(frame.t_ns, error)
-            encoded = [(publication, payload(publication)) for publication in publications]
+            encoded = [(publication, self._payload(publication)) for publication in publications]
         for publication in publications:
             if isinstance(publication.value, Estimate):
                 self.estimates[publication.value.method] = publication.value
@@ -208,6 +220,8 @@ class GuardedFold:
                 continue
             late = made is LATE
             outcome = FitOutcome(t_ns, method, job.asked_ns, not (late or made is None), late, late_ns)
+            if outcome.adopted:
+                outcome, made = self._with_result(outcome, job, made)
             if not late:
                 self._decided.append((outcome, made))
             decide(self.state, outcome)
@@ -230,7 +244,7 @@ class GuardedFold:
         for publication in publications:
             if isinstance(publication.value, Estimate):
                 self.estimates[publication.value.method] = publication.value
-        return [(publication, payload(publication)) for publication in publications]
+        return [(publication, self._payload(publication)) for publication in publications]
 
     def _fit_now(self, t_ns: int) -> list[Publication]:
         """Make and use all fits that wait, without the time that they are given while driving."""
@@ -240,9 +254,18 @@ class GuardedFold:
             for method, job, _ in waiting:
                 made = self._fitter.made(method, job)
                 outcome = FitOutcome(t_ns, method, job.asked_ns, made is not None)
+                if outcome.adopted:
+                    outcome, made = self._with_result(outcome, job, made)
                 out += [Publication(t_ns, FIT_TOPIC, outcome), *adopt(self.state, t_ns, method, made)]
             self._ask(t_ns)
         return out
+
+    def _with_result(self, outcome: FitOutcome, job: Any, made: Any) -> tuple[FitOutcome, Any]:
+        """The outcome as it is logged, and the result as it is read from there: live is replay by
+        construction."""
+        text = as_text(made)
+        logged = replace(outcome, result=text, job_sha256=job_sha256(self.state.machine, job))
+        return logged, of_text(outcome.method, text)
 
     def _ask(self, t_ns: int) -> None:
         for method, job in request_fits(self.state, t_ns):

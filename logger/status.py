@@ -106,6 +106,8 @@ def _sensor_problems(status: pb.Status) -> list[str]:
     found = []
     for receiver in status.receivers:
         name = receiver.mount.replace("_", " ")
+        if receiver.state == DeviceState.WAITING and receiver.source >= 0:
+            continue  # it is heard, and may need some seconds to its first position
         if receiver.state in _RECEIVER_PROBLEMS:
             found.append(f"{name}: {_RECEIVER_PROBLEMS[receiver.state]}")
         elif receiver.fix not in _GOOD_FIXES:

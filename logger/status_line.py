@@ -55,6 +55,25 @@ class PlainDisplay:
         self._stream.flush()
 
 
+class LineDisplay:
+    """One line that is written anew."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
+
+    def show(self, status: pb.Status, estimate: Estimate | None) -> None:
+        line = f"… {preparing_text(status)}" if status.preparing else soil_line(status, estimate)
+        self._live.start()  # only the first time does anything
+        self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+    def event(self, event: Event) -> None:
+        return
+
+    def close(self) -> None:
+        """Leave the last line standing and give the terminal back."""
+        self._live.stop()
+
+
 class PanelDisplay:
     """One panel that stays in place; events pass through it."""
 
@@ -95,6 +114,14 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
             + (f" (and {len(status.problems) - 1} more)" * (len(status.problems) > 1))
         )
     return ", ".join(parts)
+
+
+def soil_line(status: pb.Status, estimate: Estimate | None) -> str:
+    """What is learned, in one line, kN/rad."""
+    minutes, seconds = divmod(int(status.uptime_s), 60)
+    soil = ", ".join(f"{name} {stiffness_text(one, bare=True)}" for name, one in _stiffnesses(estimate))
+    problem = status.problems[0] if status.problems else ""
+    return f"{minutes}:{seconds:02d}  tyres, kN/rad (95 %): {soil}  {problem}"
 
 
 def _times(count: int) -> str:

@@ -89,6 +89,7 @@ class DaemonData:
         self._followed = Alive(replay, machine) if machine else None
         self._subscriber: Any = None
         self._lived_s = float("-inf")  # when the followed one was last known to live
+        self.kept_report = b""  # HTML, of a daemon that has ended
         self._session = open_session(endpoint, config)
         if self._followed is not None:
             self._follow(self._followed)
@@ -170,6 +171,8 @@ class DaemonData:
 
     def report_file(self) -> bytes:
         """The last report that was made, HTML. Not in the loop's own thread. Raises Refused."""
+        if self.kept_report:
+            return self.kept_report
         for reply in self._replies("report/file", FILE_S):
             if reply.ok is None:
                 raise Refused(_refusal(reply))

@@ -14,22 +14,24 @@ import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib import resources
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tilth.client.received import Refused
+from tilth.monitor.addresses import is_loopback
 from tilth.monitor.daemon_data import DaemonData, MarkAnswer
-from tilth.monitor.origin import refusal
+from tilth.monitor.invitation import ASK, COOKIE, KEY, Invitation
+from tilth.monitor.origin import Refusal, refusal
 from tilth.monitor.player_page import order_of, places_of, runs_of
-from tilth.monitor.view import View
+from tilth.monitor.view import Turn
 from tilth.schemas.limiter import Limiter, of_address
 
 TURN_S: Final = 0.1
@@ -64,6 +66,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/experiment.js", "experiment.js", "text/javascript"),
     ("/calibration.js", "calibration.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),
+    ("/over.js", "over.js", "text/javascript"),
     ("/player.js", "player.js", "text/javascript"),
     ("/report.js", "report.js", "text/javascript"),
     ("/runs.js", "runs.js", "text/javascript"),
@@ -74,6 +77,15 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/uplot/uPlot.min.css", "uplot/uPlot.min.css", "text/css"),
     ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),
 )
+
+
+class Shown(Protocol):
+    """What the page shows: a View, or something before it."""
+
+    def whole(self, now_s: float) -> str: ...
+
+    def turn(self, now_s: float) -> Turn: ...
+
 
 Said = str | tuple[int, str]
 """What a browser is sent: a message, or at last a code and why the stream ends."""
@@ -90,7 +102,7 @@ class Viewers:
     that are open somewhere and looked at by no one.
     """
 
-    def __init__(self, view: View, now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, view: Shown, now_s: Callable[[], float] = time.monotonic) -> None:
         self._view = view
         self._now_s = now_s
         self._queues: dict[asyncio.Queue[Said], str] = {}  # and whose it is, the oldest first
@@ -164,10 +176,11 @@ def _client_of(connection: HTTPConnection) -> str:
 
 
 class Guard:
-    """Adds the headers to every answer, and hears no page of another origin."""
+    """Adds the headers to every answer; hears no page of another origin, no computer that is not invited."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
+    def __init__(self, app: ASGIApp, invitation: Invitation | None = None) -> None:
+        """invitation: None where all that reach this computer may look."""
+        self._app, self._invitation = app, invitation
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def headed(message: Message) -> None:
@@ -183,17 +196,36 @@ class Guard:
             return
         connection = HTTPConnection(scope)
         refused = refusal(connection.headers.getlist("host"), connection.headers.getlist("origin"))
-        if refused is None:
+        answer = self._of_uninvited(connection) if refused is None else _denied(refused)
+        if answer is None:
             await self._app(scope, receive, headed)
-            return
-        answer = PlainTextResponse(f"{refused.why}\n", refused.status)
-        if scope["type"] == "websocket":
+        elif scope["type"] == "websocket":
             await WebSocket(scope, receive, send).send_denial_response(answer)
         else:
             await answer(scope, receive, headed)
 
+    def _of_uninvited(self, connection: HTTPConnection) -> Response | None:
+        """What another computer is answered that is not let in, or only now; None for all others."""
+        invitation, client, here = self._invitation, connection.client, connection.scope.get("server")
+        if invitation is None or client is None or is_loopback(client.host.removeprefix("::ffff:")):
+            return None
+        if here is not None and client.host == here[0]:  # this computer, by its address in a network
+            return None
+        if invitation.knows(connection.cookies.get(COOKIE, "")):
+            return None
+        guest = connection.url.path == "/" and invitation.take(connection.query_params.get(KEY, ""))
+        if not guest:
+            return _denied(Refusal(403, ASK))
+        answer = RedirectResponse("/", 303)
+        answer.set_cookie(COOKIE, guest, httponly=True, samesite="lax")
+        return answer
 
-def application(daemon_data: DaemonData, view: View) -> ASGIApp:
+
+def _denied(refused: Refusal) -> Response:
+    return PlainTextResponse(f"{refused.why}\n", refused.status)
+
+
+def application(daemon_data: DaemonData, view: Shown, invitation: Invitation | None = None) -> ASGIApp:
     """The page, its live stream, the query for marks and the orders, for any ASGI server."""
     viewers = Viewers(view)
 
@@ -208,7 +240,7 @@ def application(daemon_data: DaemonData, view: View) -> ASGIApp:
     files = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
     live = WebSocketRoute("/live", viewers.serve)
     routes = [*files, *_orders(daemon_data, asked), *_asked(daemon_data, asked), live]
-    return Guard(Starlette(routes=routes, lifespan=lifespan))
+    return Guard(Starlette(routes=routes, lifespan=lifespan), invitation)
 
 
 class PageQuery:
@@ -380,12 +412,14 @@ def _is_fault(record: logging.LogRecord) -> bool:
     return "completing handshake" not in record.getMessage()
 
 
-def serve(daemon_data: DaemonData, endpoint: str, listener: socket.socket) -> None:
+def serve(
+    daemon_data: DaemonData, view: Shown, listener: socket.socket, invitation: Invitation | None = None
+) -> None:
     """Until SIGINT or SIGTERM: both are how it is meant to end."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     logging.getLogger("uvicorn.error").addFilter(_is_fault)
     config = uvicorn.Config(
-        application(daemon_data, View(daemon_data, endpoint)),
+        application(daemon_data, view, invitation),
         ws="websockets-sansio",
         ws_max_size=4096,
         ws_per_message_deflate=False,  # the way is short: no core is spent on packing

@@ -23,6 +23,8 @@ from tilth.schemas.invocation import command
 
 EVENTS: Final = 100  # shown
 SILENT_S: Final = 3.0  # of a daemon that lives: status and estimate come each second
+FIRST_DRIVE: Final = "first_drive"  # what is told of a recorded drive that is shown until a daemon is ready
+OVER: Final = "over"  # what is told of a demo that has ended
 WAIT_S: Final = 10.0  # a daemon that starts beside the page may take so long to its first word
 Fields = dict[str, Any]
 
@@ -52,6 +54,7 @@ class View:
         self._messages: dict[str, Fields] = {}
         self._received_s: dict[str, float] = {}
         self._events: deque[Fields] = deque(maxlen=EVENTS)
+        self._told: deque[tuple[str, Fields]] = deque()  # from beside, in any thread
         self._traces = Traces()
         self._asking = ThreadPoolExecutor(1, "tilth.overview")
         self._asked: Future[Overview] | None = None
@@ -62,6 +65,14 @@ class View:
     def has_overview(self) -> bool:
         """Of a run that is played: all its events are known; its place tells which of them are shown."""
         return self._overview is not None
+
+    def last(self, kind: str) -> Fields | None:
+        """The last message of that kind."""
+        return self._messages.get(kind)
+
+    def tell(self, kind: str, message: Fields) -> None:
+        """Show that too, as if it had been heard; from any thread."""
+        self._told.append((kind, message))
 
     def whole(self, now_s: float) -> str:
         """For a page that opens, or that has to forget what it had."""
@@ -91,6 +102,10 @@ class View:
                 events += self._passed(message["at_s"])
             anew |= self._take(kind, message)
             changed[kind] = self._messages[kind]
+        told = bool(self._told)
+        while self._told:
+            kind, message = self._told.popleft()
+            self._messages[kind] = changed[kind] = message
         self._events.extend(events)
         anew |= self._take_overview()
         if "soil_tire" in self._messages and ("soil_tire" in changed or "rig" in changed):
@@ -98,7 +113,7 @@ class View:
             self._messages["shown"] = changed["shown"]
         changed |= self._traces.added() | {"events": events}
         text = json.dumps({"new": self._around(now_s) | changed}, allow_nan=False)
-        return Turn(text, bool(heard), anew)
+        return Turn(text, bool(heard) or told, anew)
 
     def _take(self, kind: str, message: Fields) -> bool:
         """Keep the last of each kind; what is drawn over time is kept longer. True as of Traces.add."""
@@ -120,7 +135,7 @@ class View:
             return False
         if player["run"] != before["run"]:
             self._overview = self._asked = None
-        self._forget(("rig",))
+        self._forget(("rig", FIRST_DRIVE))
         if self._overview is None and self._asked is None and player["run"]:
             self._asked = self._asking.submit(ask_overview, self._daemon_data)
         self._go_to(player["at_s"])
@@ -196,7 +211,7 @@ class View:
     def _notes(self, now_s: float, alive: bool, names: list[str]) -> list[str]:
         """What is wrong between the daemon and here, worst first, in sentences that say what to do."""
         followed = self._daemon_data.followed
-        if self._waiting(now_s):
+        if self._waiting(now_s) or OVER in self._messages:
             return []
         if followed is None:
             where = f"No daemon is heard at {self._endpoint}"

@@ -53,6 +53,7 @@ class Comparison:
         self.unverifiable = 0
         self.elsewhere = ""  # what there was other where logs were recorded; "": nothing
         self.to_the_byte = 0  # of those compared
+        self.ties = 0  # fits whose logged result was used, since the one here is as good
         self.largest: FieldDifference | None = None  # of those within their tolerance, beside that tolerance
         self._exact = True
         self._on_track = True

@@ -1,7 +1,7 @@
 """Drafts a machine file from a survey of buses: it parses once every line marked FILL IN is filled in."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from tilth.replay.discover import BusDevice, Findings
 from tilth.replay.turn_rates import in_words
@@ -9,8 +9,12 @@ from tilth.replay.wheel_search import WheelCandidate
 from tilth.schemas.flow import Mount
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Bus
+from tilth.schemas.quantity import Quantity
+from tilth.schemas.rule_of_thumb import DRAWING
 from tilth.schemas.wheel_angle import RUDDER
 
+Measured = Mapping[str, Mapping[str, Quantity]]
+"""Section -> key -> value."""
 FILL_IN = "# FILL IN"
 DEERE = 33
 MOST_RECEIVERS = 4
@@ -62,11 +66,12 @@ _STANDING = """\
 _PRIORS = (("front", 220e3, 1.1), ("rear", 486e3, 1.5), ("implement", 167e3, 1.1))
 
 
-def draft(findings: Findings, buses: Sequence[Bus]) -> str:
-    """The text. buses: as they were opened; those of a log are left to be filled in."""
+def draft(findings: Findings, buses: Sequence[Bus], measured: Measured | None = None) -> str:
+    """The text. buses: as they were opened; those of a log are left to be filled in. measured: keys of the
+    rig that follow from scale and tape."""
     opened = {bus.name: bus for bus in buses}
     headline = f'# A draft by `{command("discover")}`. Every line with "FILL IN" needs a value; then: '
-    parts = [f"{headline}{command('check', 'THIS_FILE')}\n", _HEAD]
+    parts = [f"{headline}{command('check', 'THIS_FILE')}\n{_drawing()}", _filled(_HEAD, measured or {})]
     for axle, stiffness, length in _PRIORS:
         parts.append(
             f"[tyres.{axle}]\n"
@@ -78,6 +83,30 @@ def draft(findings: Findings, buses: Sequence[Bus]) -> str:
     parts += _receivers(findings)
     parts.append(_wheel_angle(findings))
     return "\n".join(parts)
+
+
+def _drawing() -> str:
+    """How a to e are measured, as comments."""
+    lines = [
+        *DRAWING.splitlines(),
+        f"`{command('discover', '--help')}`: --scale and --tape find them by weighing",
+    ]
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _filled(text: str, measured: Measured) -> str:
+    """The text with the values of its sections that are known."""
+    section, lines = "", []
+    for line in text.splitlines():
+        section = line.partition("]")[0][1:] if line.startswith("[") else section
+        key, equals, rest = line.partition(f" = {FILL_IN}")
+        found = measured.get(section, {}).get(key)
+        if equals and found is not None:
+            how = "by rule of thumb" if key == "yaw_inertia" else "by scale and tape"
+            number = f"{{ value = {found.value:.10g}, sd = {found.sd:.10g} }}"
+            line = f"{key} = {number}  #{rest.removeprefix(':')}, {how}"
+        lines.append(line)
+    return "\n".join(lines) + "\n"
 
 
 def _bus(name: str, bus: Bus | None) -> str:

@@ -26,13 +26,14 @@ from tilth.schemas.channels import (
     FIT_TOPIC,
     READY_TOPIC,
     decode_addresses,
+    decode_outcome,
     payload,
 )
 from tilth.schemas.flow import Accepted, Estimate, Event, EventKind, Frame, Origin, Pose, Publication
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
-from tilth.schemas.proto.tilth_pb2 import FitOutcome, Ready, Snapshot
+from tilth.schemas.proto.tilth_pb2 import Ready, Snapshot
 from tilth.schemas.sentences import event_sentence, notice_sentence
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
@@ -163,16 +164,23 @@ class _Run:
         self._left_out: list[str] = []  # of the folds before
         self._origins: dict[tuple[str, int], Origin] = {}  # as they were last known
         self.fitter = ReplayedFits(machine, lambda kind, told: say(notice_sentence(told)))
-        self._fold = GuardedFold(machine, fitter=self.fitter)
+        out = self._outputs
+        self._encoded = bool(out.writer or out.publish or out.comparison)
+        self._fold = self._new_fold()
         self._before = _counts(self._fold)
         self._unknown_before = self._unknown_now()
+
+    def _new_fold(self, state_json: str | None = None) -> GuardedFold:
+        return GuardedFold(self._machine, state_json, self.fitter, encoded=self._encoded)
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
         comparison = self._outputs.comparison
         log = open_log(path, WITH_RESULTS if comparison else INPUTS)
         try:
+            by = metadata(log).get("tilth", {})
+            self.fitter.recorded_by(by, verified=comparison is not None)
             if comparison is not None:
-                comparison.recorded_by(metadata(log).get("tilth", {}))
+                comparison.recorded_by(by)
             self._follow(log)
             self._records(log, buses)
         finally:
@@ -254,12 +262,12 @@ class _Run:
 
     def _fit(self, record: Logged) -> None:
         """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""
-        outcome = FitOutcome.FromString(record.data)
+        outcome = decode_outcome(record.data)
         fitting = ROW[outcome.method].fitting if outcome.method in ROW else None
         if fitting is not None and outcome.t_ns < outcome.asked_ns + fitting.latency_ns:
             self.finish()  # as the program did that wrote the log
             return
-        self.fitter.add_outcome(outcome.method, outcome.asked_ns, outcome.adopted, outcome.awaited)
+        self.fitter.add_outcome(outcome)
         self._put([(p, payload(p)) for p in self._fold.decided(outcome.t_ns)])
 
     def finish(self) -> None:
@@ -324,7 +332,7 @@ class _Run:
         self._anew = False
         self._left_out += map(notice_sentence, log_time.stray_senders(self._fold.state.time))
         self.fitter.forget()
-        fold = GuardedFold(self._machine, fitter=self.fitter)
+        fold = self._new_fold()
         self._go_on_with(fold, t_ns, fold.renew())
 
     def _snapshot(self, log: OpenLog, stored: Snapshot) -> None:
@@ -335,7 +343,7 @@ class _Run:
             self._reported_other_machine = True
             return
         try:
-            fold = GuardedFold(self._machine, stored.state_json, self.fitter)
+            fold = self._new_fold(stored.state_json)
         except NotRestorable as why_not:
             self._refuse(log, stored, str(why_not))
             self._take_addresses(stored)
@@ -362,7 +370,7 @@ class _Run:
             decoder = restore_decoder(self._machine, stored.state_json)
         except NotRestorable:
             return
-        fold = GuardedFold(self._machine, fitter=self.fitter)
+        fold = self._new_fold()
         fold.state.decoder, fold.ready = decoder, self._fold.ready
         fold.state.recognition = self._fold.state.recognition
         self._go_on_with(fold, stored.t_ns, fold.renew())
@@ -406,6 +414,7 @@ class _Run:
             self._counts["rejected", reason] += count
         if self._outputs.comparison is not None:
             self._outputs.comparison.finish(log.truncated)
+            self._outputs.comparison.ties = self.fitter.ties
         if not self._fold.ready:
             self._say(f"{log.path}: it ends before the estimators were ready; nothing is estimated, as live")
         self.summary.truncated = self.summary.truncated or log.truncated

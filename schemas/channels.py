@@ -173,7 +173,17 @@ def _encode_outcome(outcome: flow.FitOutcome) -> bytes:
         adopted=outcome.adopted,
         awaited=outcome.awaited,
         late_ns=outcome.late_ns,
+        result=outcome.result,
+        job_sha256=outcome.job_sha256,
     ).SerializeToString()
+
+
+def decode_outcome(data: bytes) -> flow.FitOutcome:
+    """As logged. Raises protobuf's DecodeError."""
+    one = pb.FitOutcome.FromString(data)
+    return flow.FitOutcome(
+        one.t_ns, one.method, one.asked_ns, one.adopted, one.awaited, one.late_ns, one.result, one.job_sha256
+    )
 
 
 def _encode_ready(ready: flow.Ready) -> bytes:

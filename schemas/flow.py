@@ -454,6 +454,8 @@ class FitOutcome:
     adopted: bool  # False: it was not ready in time and was dropped, unless it is awaited
     awaited: bool = False  # it is late: another outcome follows
     late_ns: int = 0  # how much later than it was due it was decided
+    result: str = ""  # as JSON, if it is adopted
+    job_sha256: str = ""  # of what it was made of, and the machine file
 
 
 @dataclass(frozen=True, slots=True)

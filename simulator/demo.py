@@ -99,18 +99,16 @@ def run_demo(
     packaged = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     timed = _Timed(display or NoDisplay(), seconds)
     kept = compiling.load(parse_machine(packaged))  # then the daemon estimates from its first frame on
-    if not kept:
-        say("kernels are compiled, once per machine; the tractor drives on until estimates had their time")
+    endpoint = free_endpoint(parse_machine(packaged).zenoh.listen[0])
+    if watch is not None:
+        watch(endpoint)
     scenario = scenario or Scenario()
     lasting = seconds if kept else seconds + COMPILING_S
     order = {"machine_text": packaged, "seed": seed, "seconds": lasting, "scenario": as_json(scenario)}
     with closing(Player(order, stop, say)) as player:
         text = on_loopback(packaged, player.port)
-        endpoint = free_endpoint(parse_machine(text).zenoh.listen[0])
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
         machine = parse_machine(text)
-        if watch is not None:
-            watch(endpoint)
         summary = run_daemon(
             MachineFile(machine, text),
             log_folder=log_folder,
@@ -212,7 +210,7 @@ def first_fact(job: Job, stop: Callable[[], bool], say: Callable[[str], None] = 
         if stop():
             raise DemoError("stopped before it began")
         if tick == round(SOON_S / TICK_S):
-            say("preparing the tractor's model for this computer, which is done only once")
+            say("preparing the tractor's model")
     raise JobEnded(f"it said nothing for {STARTING_S:.0f} s")
 
 
@@ -265,6 +263,19 @@ def comparison_table(demo: Demo) -> Table:
     for row in compare(demo.truth, demo.summary.estimates.get("recommended")):
         table.add_row(*_cells(row))
     return table
+
+
+def truth_and_estimate(demo: Demo) -> list[dict[str, object]]:
+    """The same for the page: numbers in the units that people read."""
+    rows = []
+    for row in compare(demo.truth, demo.summary.estimates.get("recommended")):
+        scale, value = scale_of(row.name), row.estimate.value if row.estimate is not None else None
+        rows.append({
+            "name": row.name, "unit": unit_of(row.name), "truth": row.truth * scale, "holds": row.holds,
+            "value": None if value is None else value * scale,
+            "interval": None if row.interval is None else [end * scale for end in row.interval],
+        })  # fmt: skip
+    return rows
 
 
 _COLUMNS: Final[tuple[tuple[str, Literal["left", "right"]], ...]] = (

@@ -6,7 +6,7 @@ Everything is a function of the machine file, the seed and the scenario.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.nonlinear import INPUTS, STATES
-from tilth.estimator.models.parameters import GEOMETRY, Rig, checked, rig_of
+from tilth.estimator.models.parameters import GEOMETRY, Rig, checked, rig_of, upright_axles
 from tilth.schemas.flow import PARAMETERS, Mount
 from tilth.schemas.machine import Machine
 from tilth.simulator import noise
 from tilth.simulator.ground import SoilField, Terrain, field, terrain
 from tilth.simulator.noise import generator, within
 from tilth.simulator.pilots import HOLD, Driver
-from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.scenario import STEP_S, Scenario, Spatial
 from tilth.simulator.spatial.plant import Space
 
 Array = NDArray[np.float64]
@@ -108,6 +108,8 @@ class Setting:
 
 def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) -> Setting:
     """All that is drawn before a run begins. Raises ValueError, as `drive`."""
+    if scenario.plant == "spatial":
+        scenario = replace(scenario, spatial=_described(machine, scenario.spatial))
     believed = rig_of(machine)
     nuisances = _nuisances(machine, scenario, seed)
     parameters = draw(machine, seed, scenario)
@@ -117,6 +119,24 @@ def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) 
     land = terrain(scenario.ground, scenario.roll_deg, rig, generator(seed, noise.GROUND))
     soil = field(scenario.soil, parameters, rig, generator(seed, noise.SOIL))
     return Setting(seed, scenario, believed, parameters, nuisances, rig, time, land, soil)
+
+
+def _described(machine: Machine, spatial: Spatial) -> Spatial:
+    """With what the machine file tells of the rig where the scenario does not. Tracks and tyres count where
+    all three axles have them."""
+    tractor, axles = machine.tractor, upright_axles(machine)
+    tyres = (machine.tyres.front, machine.tyres.rear, machine.tyres.implement)
+    one_by_one = {
+        "axle_mass": tractor.front_axle_mass,
+        "hitch_height": tractor.hitch_height,
+        "pin_height": tractor.pivot_height,
+    }
+    told: dict[str, Any] = {key: one.value for key, one in one_by_one.items() if one is not None}
+    if all(tyre.track for tyre in tyres):
+        told["track"] = tuple(axle.track for axle in axles)
+    if all(tyre.deflection or (tyre.size and tyre.pressure) for tyre in tyres):
+        told["vertical_stiffness"] = tuple(axle.stiffness / 2 for axle in axles)
+    return replace(spatial, **{key: value for key, value in told.items() if getattr(spatial, key) is None})
 
 
 def rig_seed(scenario: Scenario, seed: int) -> int:

@@ -1,6 +1,7 @@
 """tests/ mirrors the folders: where the tests of a module are follows from where the module is."""
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -44,18 +45,27 @@ def held(module: str, modules: Mapping[str, frozenset[str]], tests: Mapping[Path
 
 
 SOURCES = {name: text for name, text in sources().items() if "_pb2" not in name and ".generated." not in name}
-MODULES = {name: frozenset(imported(text)) for name, text in SOURCES.items()}
-FILES = {path: frozenset(imported(path.read_text(encoding="utf-8"))) for path in TESTS.rglob("test_*.py")}
+PATHS = sorted(TESTS.rglob("test_*.py"))
+
+
+@cache  # by one of the processes that run the tests, not by each as it collects them
+def modules() -> dict[str, frozenset[str]]:
+    return {name: imported(text) for name, text in SOURCES.items()}
+
+
+@cache
+def files() -> dict[Path, frozenset[str]]:
+    return {path: imported(path.read_text(encoding="utf-8")) for path in PATHS}
 
 
 @pytest.mark.parametrize("module", [name for name, text in SOURCES.items() if text.count("\n") > LONG])
 def test_each_long_module_has_its_test_in_the_mirrored_folder(module: str) -> None:
-    assert held(module, MODULES, FILES), (
+    assert held(module, modules(), files()), (
         f"give it {place(module).relative_to(ROOT)}, or import it in another test of that folder"
     )
 
 
-@pytest.mark.parametrize("folder", sorted({path.parent for path in FILES}), ids=str)
+@pytest.mark.parametrize("folder", sorted({path.parent for path in PATHS}), ids=str)
 def test_each_folder_of_tests_mirrors_one(folder: Path) -> None:
     mirrored = folder.relative_to(TESTS)
     assert (ROOT / mirrored).is_dir() or mirrored.parts[:1] == ("vm",)
@@ -63,10 +73,10 @@ def test_each_folder_of_tests_mirrors_one(folder: Path) -> None:
 
 def test_the_check_sees_a_module_without_a_test() -> None:
     new = "logger.log.planted"
-    planted = {**MODULES, new: frozenset[str]()}
+    planted = {**modules(), new: frozenset[str]()}
     asked = frozenset({f"{new}.something"})
-    assert not held(new, planted, FILES)
-    assert not held(new, planted, {**FILES, TESTS / "cli/test_planted.py": asked})
-    assert held(new, planted, {**FILES, TESTS / "logger/log/test_other.py": asked})
-    assert held(new, {**planted, "logger.log.runs": asked}, FILES)
-    assert not held(new, {**planted, "logger.daemon": asked}, FILES)
+    assert not held(new, planted, files())
+    assert not held(new, planted, {**files(), TESTS / "cli/test_planted.py": asked})
+    assert held(new, planted, {**files(), TESTS / "logger/log/test_other.py": asked})
+    assert held(new, {**planted, "logger.log.runs": asked}, files())
+    assert not held(new, {**planted, "logger.daemon": asked}, files())

@@ -13,7 +13,7 @@ from tilth.analysis.report.document import (
     ReportTable,
     ReportText,
 )
-from tilth.analysis.report.wording import fixed, number
+from tilth.analysis.report.wording import fixed, kmh, number
 
 OUTPUTS: Final = {
     "r_t": "tractor's yaw rate", "r_i": "implement's yaw rate", "articulation": "articulation",
@@ -60,7 +60,7 @@ def response_section(response: ResponseFacts | None) -> ReportSection | None:
     loop = response.get("loop")
     parts += [ReportText(loop["sentence"])] if loop and loop["sentence"] else []
     driven_mps = response.get("speed")
-    speed = f" at {driven_mps:.2f} m/s" if driven_mps else ""
+    speed = f" at {kmh(driven_mps)}" if driven_mps else ""
     for output in data["outputs"]:
         parts += [_figure(data, output, speed), _table(data, output)]
     parts += [ReportText(one["sentence"]) for one in response["curves"] if one.get("sentence")]

@@ -27,6 +27,7 @@ from tilth.analysis.report.figure_look import (
     time_scale,
 )
 from tilth.analysis.report.wording import METHODS, SYMBOLS
+from tilth.schemas.fields import KMH
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import WITHIN, interval, scale_of, unit_of
 
@@ -38,7 +39,7 @@ MOST_OVER_TIME: Final = 30
 ROW: Final = "row"  # kind of segments that do not steer
 PANELS: Final = (
     ("wheel_angle", "wheel angle, °", 180.0 / math.pi),
-    ("speed", "speed, m/s", 1.0),
+    ("speed", "speed, km/h", 1.0 / KMH),
     ("articulation", "articulation, °", 180.0 / math.pi),
 )
 

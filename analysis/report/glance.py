@@ -19,6 +19,7 @@ from tilth.analysis.report.wording import (
     degrees,
     distance,
     fixed,
+    kmh,
     listed,
     many,
     number,
@@ -71,11 +72,8 @@ def _numbers(run: RunFacts, id: str) -> ReportTable:
     rows = (
         ("length of the run", ReportCell(seconds(run["duration_s"]), run["duration_s"])),
         ("distance driven", ReportCell(distance(d["distance_m"]), d["distance_m"])),
-        (
-            "median speed while driving",
-            ReportCell(fixed(d["median_speed_mps"], 2, "m/s"), d["median_speed_mps"]),
-        ),
-        ("largest speed", ReportCell(fixed(d["largest_speed_mps"], 2, "m/s"), d["largest_speed_mps"])),
+        ("median speed while driving", ReportCell(kmh(d["median_speed_mps"]), d["median_speed_mps"])),
+        ("largest speed", ReportCell(kmh(d["largest_speed_mps"]), d["largest_speed_mps"])),
         ("driving", ReportCell(seconds(d["moving_s"]), d["moving_s"])),
         ("of it in reverse", ReportCell(seconds(d["reverse_s"]), d["reverse_s"])),
         ("standing", ReportCell(seconds(d["still_s"]), d["still_s"])),
@@ -158,9 +156,7 @@ def _drive(run: RunFacts, id: str) -> ReportSection:
 def _segments(run: RunFacts, id: str) -> ReportSection:
     title = "Segments"
     if not run["segments"]:
-        text = (
-            "No segment was found: no steering at 1 m/s or more with receivers that fit, and no straight row."
-        )
+        text = "No segment was found: no steering at 3.6 km/h or more with receivers that fit, no row."
         return ReportSection(f"{id}-parts", title, (ReportText(text),))
     rows = tuple(
         (
@@ -168,7 +164,7 @@ def _segments(run: RunFacts, id: str) -> ReportSection:
             ReportCell(NAMES[one["kind"]] + (f": {one['name']}" if one["name"] else "")),
             ReportCell(fixed(one["start_s"], 1), one["start_s"]),
             ReportCell(fixed(one["end_s"], 1), one["end_s"]),
-            ReportCell(fixed(one["speed_mps"], 2), one["speed_mps"]),
+            ReportCell(kmh(one["speed_mps"], ""), one["speed_mps"]),
             ReportCell(degrees(one["largest_angle_rad"]), one["largest_angle_rad"]),
             ReportCell(
                 ", ".join(text.removesuffix(" (95 %)") for text in one["tells"]) or "nothing of the six"
@@ -176,7 +172,7 @@ def _segments(run: RunFacts, id: str) -> ReportSection:
         )
         for one in run["segments"]
     )
-    columns = ("segment", "kind", "from, s", "to, s", "speed, m/s", "largest wheel angle", "can tell, 95 %")
+    columns = ("segment", "kind", "from, s", "to, s", "speed, km/h", "largest wheel angle", "can tell, 95 %")
     caption = (
         "Segments, times since the run began. The last column: how well a fit of this steering could know a "
         "parameter at best (Cramér–Rao bound at the machine file's values); what is missing cannot be told."

@@ -7,6 +7,7 @@ from typing import Final
 from tilth.analysis.report.document import ReportCell
 from tilth.logger.clock import utc_text
 from tilth.replay.estimates_json import ParameterEntry
+from tilth.schemas.fields import KMH
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.spread import of_parameter, scale_of, unit_of
 
@@ -67,6 +68,11 @@ def fixed(value: float | None, places: int = 1, unit: str = "") -> str:
     if value is None or not math.isfinite(value):
         return NOTHING
     return f"{value:.{places}f} {unit}".rstrip()
+
+
+def kmh(speed_mps: float | None, unit: str = "km/h") -> str:
+    """A speed as people say it."""
+    return fixed(None if speed_mps is None else speed_mps / KMH, 1, unit)
 
 
 def probability(value: float | None) -> str:

@@ -22,6 +22,7 @@ from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.motion_check import MotionCheck
 from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
+from tilth.estimator.results.recommend import ROWS
 from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.tuning import tuned
@@ -84,6 +85,7 @@ class Consistency:
     confirmed: bool = False  # no error of the file that driving has not excluded would matter
     judged: bool = False  # it is known what such errors add
     widening: Widening = field(default_factory=Widening)
+    by_rows: Widening | None = None  # the same of the numbers of ROWS, which rows tell without a turn
     given: dict[str, list[bool]] = field(default_factory=dict)  # method -> which of the six had a number
     was_confirmed: bool = False  # at some time of this run
     pairs_known: bool = (
@@ -148,9 +150,10 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     if why := contradictions(state) or state.methods.get(estimate.method, []):
         reason = Reason(Code.CONTRADICTED, because=tuple(one.reason for one in why))
         return _without_numbers(estimate, Status.INVALID, reason)
-    if not state.judged and not state.confirmed:
+    by_rows = state.by_rows if estimate.method == ROWS and _sensors_known(state) else None
+    if not state.judged and not state.confirmed and by_rows is None:
         return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
-    return widened(state.widening, estimate, state.given.get(estimate.method, ()))
+    return widened(by_rows or state.widening, estimate, state.given.get(estimate.method, ()))
 
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
@@ -161,6 +164,21 @@ def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Esti
     return replace(
         estimate, parameters=parameters, per_mass=(None,) * 3, per_mass_sd=(), determined=(), bound=()
     )
+
+
+def rows_tell(state: Consistency, evidence: OpenEvidence) -> None:
+    """Take what a fit of straight rows has found of the file. Where it does not fit, turns are to judge."""
+    if contradictions(state) or not _fits(evidence, CONSISTENCY.ends):
+        state.by_rows = None
+        return
+    state.by_rows = widening_of(evidence)
+    if not state.judged:
+        state.widening = state.by_rows
+    state.confirmed |= state.by_rows.confirms and _sensors_known(state)
+
+
+def _sensors_known(state: Consistency) -> bool:
+    return state.rates_known and not motion_check.roll_check_pending(state.motion)
 
 
 def sensor_failed(state: Consistency, fault: Code | None, seen_at_once: bool) -> Directive:
@@ -180,6 +198,7 @@ def discard_findings(state: Consistency, confirmed: bool = False) -> None:
         key: case for key, case in state.cases.items() if case.latest.code not in OF_OPEN_NUMBERS
     }  # fmt: skip
     state.methods, state.confirmed, state.judged = {}, confirmed, confirmed
+    state.by_rows = state.by_rows if confirmed else None
 
 
 def left_out(state: Consistency) -> None:
@@ -271,7 +290,7 @@ def _update(
             evidence = _restart_open(state, directive, evidence)
             del state.cases[key]
             continue
-        state.confirmed = state.judged = False
+        state.confirmed, state.judged, state.by_rows = False, False, None
         directive.events.append((CONTRADICTION, reasoned(one.reason, NoticeCode.CONTRADICTED)))
     for key, case in list(state.cases.items()):
         if key in found or not case.missing(CONSISTENCY.poses_to_end):
@@ -303,7 +322,7 @@ def _restart_open(state: Consistency, directive: Directive, evidence: OpenEviden
 def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     """What the file may still be wrong by. A confirmation is withdrawn after a long doubt."""
     state.agrees.look(_fits(evidence, CONSISTENCY.ends))
-    decided = state.rates_known and not motion_check.roll_check_pending(state.motion)
+    decided = _sensors_known(state)
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
     if not decided or evidence.learned < least:  # what was known before holds
         keys = () if decided else ("turn rates and rolls",)

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from tilth.estimator.diagnosis import consistency, watch, wheel_speed
 from tilth.estimator.diagnosis.consistency import Consistency
 from tilth.estimator.diagnosis.directive import Directive
-from tilth.estimator.diagnosis.open_numbers import OpenEvidence
+from tilth.estimator.diagnosis.open_numbers import Misfit, OpenEvidence
 from tilth.estimator.diagnosis.watch import Moved, WatchState
+from tilth.estimator.diagnosis.widening import SEGMENT_S
 from tilth.estimator.pose import aligner as aligners
 from tilth.estimator.pose import receiver_checks, standing
 from tilth.estimator.pose.aligner import Aligner
@@ -101,6 +102,12 @@ def look_at_file(
         return Directive(withhold=consistency.stops_learning(state.consistency))
     moved = watch.contradictions(state.watch)
     return consistency.observe(state.consistency, aligner, state.checks, pose, moved, evidence)
+
+
+def rows_tell(state: RigDiagnosis, misfit: Misfit, seconds: float) -> None:
+    """Take what a fit of straight rows has found of the file. seconds: of rows."""
+    evidence = OpenEvidence(misfit, misfit, round(seconds / SEGMENT_S), 0.0, rough=False)
+    consistency.rows_tell(state.consistency, evidence)
 
 
 def soil_changed(state: RigDiagnosis) -> Directive:

@@ -43,7 +43,7 @@ class Misfit(NamedTuple):
     sd: Array  # [n]; of the result
     found: Array  # [n + 1]; error of each of HYPOTHESES if it alone is wrong
     alone: Array  # [n + 1]; sd of that, with the error that is allowed
-    moves: Array  # [6, n + 1]; true less learned logarithms, with the file's values, by such an error
+    moves: Array  # [6, n + 1]; true less learned logarithms, by such an error of the file that is believed
 
     @property
     def by_name(self) -> Array:
@@ -66,19 +66,33 @@ class OpenEvidence:
         return replace(self, misfit=self.at_first, learned=0, rejected=0.0)
 
 
-def misfit_of(off: Array, covariance: Array, machine: Machine) -> Misfit:
+def misfit_of(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
     """off: [n], what is found minus what the file says. covariance: [6 + n, 6 + n], of the six logarithms and
-    of what is found."""
+    of what is found; believing: the same where the file's numbers are believed as far as it says."""
     own = covariance[6:, 6:]
     inverse = np.linalg.inv(own + np.diag(allowed(machine) ** 2))
     solved = inverse @ off
     precision = np.einsum("ik,ij,jk->k", _FOUND_OFF, inverse, _FOUND_OFF)
-    moves = covariance[:6, 6:] @ np.linalg.inv(own + np.diag(_stated(machine) ** 2)) @ _FOUND_OFF
+    moves = _slopes(covariance, believing, _stated(machine)) @ _FOUND_OFF
     moves[:, -1] += _STIFFNESSES
     return Misfit(
         float(off @ solved), off, np.sqrt(np.diag(own)), solved @ _FOUND_OFF / precision,
         1.0 / np.sqrt(precision), moves,
     )  # fmt: skip
+
+
+def _slopes(covariance: Array, believing: Array, stated: Array) -> Array:
+    """[6, n]: what errors of the file make of the six where it is believed.
+
+    A posterior's mean moves by covariance over prior variance with its prior's mean. Slopes of the open
+    tracker itself are too small where a length is wrong (C_ai by implement.d to an eighth, by e to a third):
+    it forgets what it has learned, and in its free state a wrong length looks like motion. They stand for
+    what a method does not have as an unknown, masses above all.
+    """
+    slopes = covariance[:6, 6:] @ np.linalg.inv(covariance[6:, 6:] + np.diag(stated**2))
+    unknown = np.diag(believing)[6:] > 0.0
+    slopes[:, unknown] = believing[:6, 6:][:, unknown] / stated[unknown] ** 2
+    return np.asarray(slopes, np.float64)
 
 
 def _stated(machine: Machine) -> Array:

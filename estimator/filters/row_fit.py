@@ -389,7 +389,11 @@ def fitted(records: Sequence[Record], setup: RigSetup, mean: Array, covariance: 
 
 def _order(rows: Sequence[WhitenedRow], setup: RigSetup) -> int:
     """Epochs of the past: until the last axle has come to where the first one was."""
-    speed = float(np.mean(np.concatenate([row.whitened.ticks[:, U] for row in rows])))
+    return order_at(float(np.mean(np.concatenate([row.whitened.ticks[:, U] for row in rows]))), setup)
+
+
+def order_at(speed: float, setup: RigSetup) -> int:
+    """Epochs of the past at a speed, m/s: until the last axle has come to where the first one was."""
     a, _, c, d, e = setup.geometry[:5]
     wanted = ROW_FIT.past_lengths * (a + c + d + e) / speed / ROW_FIT.epoch_s
     return int(np.clip(math.ceil(wanted), ROW_FIT.least_order, ROW_FIT.most_order))

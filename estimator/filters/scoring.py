@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.filters.contrast import Contrast, contrast_of
 from tilth.estimator.filters.fit_covariance import published, whiteness
 from tilth.estimator.filters.gates import outliers
 from tilth.estimator.filters.likelihood import (
@@ -93,6 +94,9 @@ class Posterior:
     outliers: int
     whiteness: float  # autocorrelation of the normalised innovations at lag one, mean over the kinds
     converged: bool
+    contrast: Contrast | None = (
+        None  # with the estimate that needs no model of the ground, where it is asked for
+    )
 
 
 def maximise_posterior(
@@ -102,12 +106,15 @@ def maximise_posterior(
     covariance: Array,
     reference: Array | None = None,
     start: Array | None = None,
+    *,
+    contrast: bool = False,
 ) -> Posterior:
     """The fit. mean [n], covariance [n, n]: the prior over unknowns.NAMES; one with zero variance stays
     fixed.
 
     reference: [n], a point to compare with the prior's mean on this record, which was used for neither
     (`gain`). start: [n], where the search begins, the prior's mean if None: it should end in the same place.
+    contrast: whether that is asked for.
     """
     search = search_of(record, setup, mean, covariance)
     gain = 0.0 if reference is None else likelihood_at(search, reference) - likelihood_at(search, mean)
@@ -142,6 +149,7 @@ def maximise_posterior(
         record_information,
         found.cost / max(len(record.rows), 1), gain, steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
+        contrast_of(search, found, counted) if contrast and converged and setup.scale == 1.0 else None,
     )  # fmt: skip
 
 

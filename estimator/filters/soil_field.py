@@ -10,13 +10,15 @@ A window tells of the mean over its path, of each axle's stiffness along the way
 model are common to all windows of a method: a random effect, so they do not average out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_solve
+from scipy.special import chdtrc
 
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.state_json import Shape
@@ -32,9 +34,12 @@ AXLES: Final = len(PARAMETERS) // 2
 class SoilFieldTuning:
     """What is thought possible of a field."""
 
-    sds: tuple[float, ...] = tuned((0.05, 0.15, 0.25, 0.4), "1", "of a stiffness' logarithm over the field")
+    sds: tuple[float, ...] = tuned(
+        (0.05, 0.15, 0.25, 0.4, 0.6), "1", "of a stiffness' logarithm over the field"
+    )
     lengths_m: tuple[float, ...] = tuned((10.0, 30.0, 100.0), "m", "over which soil is alike")
     common: float = tuned(0.8, "1", "share of the variance that all axles have in common")
+    changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")
     telling: float = tuned(0.02, "1", "information over the prior's, of a direction that is used")
     likely: float = tuned(1e-3, "1", "likelihood over the largest: of a hypothesis that is not left out")
     points: int = tuned(6, "positions", "of a path")
@@ -112,6 +117,7 @@ class SoilWindow:
     passing: int  # number of the pass
     path: Annotated[Array, Shape((-1, AXLES, 2))]  # north and east of each axle, m, at places along it
     told: Told
+    epoch: int = 0  # number of the changes in time before it
 
 
 def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
@@ -158,21 +164,57 @@ class At(NamedTuple):
     length_m: float  # over which soil is alike
 
 
-class _Hypothesis(NamedTuple):
+def exponential(apart: Array, length_m: float) -> Array:
+    """Correlation of the stiffnesses' means over paths, (3 n, 3 m). apart: as of `_apart`."""
+    near = over_paths(np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
+    of_axles = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
+    return np.asarray(near * np.tile(of_axles, (apart.shape[1], apart.shape[4])))
+
+
+def over_paths(each: Array) -> Array:
+    """The mean over all pairs of places of two paths, (n, 3, p, m, 3, q): (3 n, 3 m)."""
+    n, axles, p, m, _, q = each.shape
+    return np.asarray(each.reshape(n * axles, p, m * axles, q).mean(axis=(1, 3)))
+
+
+def _apart(these: Array, those: Array) -> Array:
+    """How far places of paths, (n, 3, p, 2) and (m, 3, q, 2), are to north and east of each other, m:
+    (2, n, 3, p, m, 3, q)."""
+    one, other = these.reshape(-1, 2), those.reshape(-1, 2)
+    shape = (*these.shape[:3], *those.shape[:3])
+    return np.stack([(one[:, None, k] - other[None, :, k]).reshape(shape) for k in (0, 1)])
+
+
+class Variogram(NamedTuple):
+    """How soil may differ."""
+
     sd: float
     length_m: float
+    correlation: Callable[[Array, float], Array] = exponential
+
+
+VARIOGRAMS: Final = tuple(Variogram(sd, length) for length in SOIL_FIELD.lengths_m for sd in SOIL_FIELD.sds)
+
+
+class _Hypothesis(NamedTuple):
+    soil: Variogram
     weight: float
-    covariance: Array  # (r, r), of what was told
-    inverse: Array
-    alpha: Array  # (r,), that times what was told
+    root: Array  # (r, r), lower, of the covariance of what was told
+    alpha: Array  # (r,), its inverse times what was told
+    distance: float  # squared, of what was told from what was thought before
+
+    def solve(self, told: Array) -> Array:
+        return np.asarray(cho_solve((self.root, True), told, check_finite=False))
 
 
 class SoilMemory:
     """What some windows tell of a field. Derived from them alone."""
 
-    def __init__(self, windows: Sequence[SoilWindow], prior_sd: Array) -> None:
-        """prior_sd: (n,), of the machine file."""
-        self.windows, self.prior_sd = windows, prior_sd[SIX]
+    def __init__(
+        self, windows: Sequence[SoilWindow], prior_sd: Array, variograms: Sequence[Variogram] = VARIOGRAMS
+    ) -> None:
+        """prior_sd: (n,), of the machine file. variograms: hypotheses, each as likely before any window."""
+        self.windows, self.prior_sd, self.variograms = windows, prior_sd[SIX], variograms
         paths = np.array([window.path for window in windows]).reshape(-1, SOIL_FIELD.points, AXLES, 2)
         self._places = paths.transpose(0, 2, 1, 3)  # (windows, 3, points, 2)
 
@@ -200,58 +242,94 @@ class SoilMemory:
         return placed
 
     @cached_property
-    def _hypotheses(self) -> list[_Hypothesis]:
+    def _scored(self) -> list[_Hypothesis]:
+        """All hypotheses, with the weight of each."""
         of, units, values, variances = self._directions
         sds = np.array([window.told.model_sd for window in self.windows]).reshape(-1, 6)[of]
         methods = np.array([window.method for window in self.windows])[of]
+        epochs = np.array([window.epoch for window in self.windows])[of]
         fixed = (units * self.prior_sd**2) @ units.T + np.diag(variances)
+        fixed -= (units * self._between_epochs) @ units.T * (epochs[:, None] != epochs)
         # What the surer of two windows has of errors, both have: a difference of them is not free of it.
         in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
         fixed += in_common.sum(axis=2) * (methods[:, None] == methods[None, :])
-        alike = _alike(len(self.windows), len(self.windows))
+        apart = _apart(self._places, self._places)
+        within = {
+            key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
+            for key, one in self._kinds.items()
+        }
         found, logs = [], []
-        for length in SOIL_FIELD.lengths_m:
-            within = (
-                self._placed @ (alike * _correlation(self._places, self._places, length)) @ self._placed.T
-            )
-            for sd in SOIL_FIELD.sds:
-                covariance = fixed + sd**2 * within
-                inverse = np.asarray(np.linalg.inv(covariance), np.float64)
-                alpha = inverse @ values
-                logs.append(-0.5 * float(values @ alpha) - 0.5 * float(np.linalg.slogdet(covariance)[1]))
-                found.append(_Hypothesis(sd, length, 0.0, covariance, inverse, alpha))
+        for one in self.variograms:
+            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one[1:]]), np.float64)
+            alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
+            distance = float(values @ alpha)
+            logs.append(-0.5 * distance - float(np.sum(np.log(np.diag(root)))))
+            found.append(_Hypothesis(one, 0.0, root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
-        used = weights > SOIL_FIELD.likely
-        weights /= np.sum(weights[used])
-        return [h._replace(weight=float(w)) for h, w, u in zip(found, weights, used, strict=True) if u]
+        weights[weights <= SOIL_FIELD.likely] = 0.0
+        return [h._replace(weight=w) for h, w in zip(found, (weights / weights.sum()).tolist(), strict=True)]
+
+    @cached_property
+    def _kinds(self) -> dict[tuple[float, Callable[[Array, float], Array]], Variogram]:
+        """One of those that have a correlation in common."""
+        return {one[1:]: one for one in self.variograms}
+
+    @property
+    def _between_epochs(self) -> Array:
+        """Variances of the six between before and after a change in time, (6,)."""
+        stiffness = np.arange(6) < AXLES
+        return np.where(stiffness, np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2, 0.0)
+
+    @property
+    def _hypotheses(self) -> list[_Hypothesis]:
+        """Those that are not left out."""
+        return [one for one in self._scored if one.weight]
+
+    def surprise(self, more: "SoilMemory") -> float:
+        """How likely it was that a window more, the last of `more`, is as far as it is from what these tell.
+        1 where these tell nothing."""
+        dimensions = len(more._directions[0]) - len(self._directions[0])
+        if not self.windows or not dimensions:
+            return 1.0
+        distances = zip(self._scored, more._scored, strict=True)
+        apart = np.array([after.distance - before.distance for before, after in distances])
+        likely = chdtrc(dimensions, np.maximum(apart, 0.0))
+        return float(np.sum(likely * [one.weight for one in self._scored]))
 
     @property
     def patchy(self) -> float:
         """Probability that soil differs by more than the least of the sds."""
-        return 1.0 - sum(one.weight for one in self._hypotheses if one.sd == min(SOIL_FIELD.sds))
+        return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.sd == min(SOIL_FIELD.sds))
 
     def at(self, place: Array) -> At:
-        """At a place of the rig: north and east of each axle, (3, 2), m."""
+        """At a place of the rig, or on average over a path: north and east of each axle, (..., 3, 2), m."""
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
-        near = {length_m: self._near(place, length_m) for length_m in SOIL_FIELD.lengths_m}
+        near = self._near(place)
         for one in self._hypotheses:
-            cross, own = self._with(near[one.length_m], one.sd)
+            cross, own = self._with(near[one.soil[1:]], one.soil.sd)
             there = cross.T @ one.alpha
             mean += one.weight * there
-            second += one.weight * (own - cross.T @ one.inverse @ cross + np.outer(there, there))
-            length += one.weight * one.length_m
+            second += one.weight * (own - cross.T @ one.solve(cross) + np.outer(there, there))
+            length += one.weight * one.soil.length_m
         covariance = second - np.outer(mean, mean)
         return At(mean, (covariance + covariance.T) / 2.0, length)
 
-    def _near(self, place: Array, length_m: float) -> tuple[Array, Array]:
-        """Correlation of what was told with the soil of each axle at a place, (r, 3), of these, (3, 3)."""
-        there = place[None, :, None, :]
-        near = _alike(len(self.windows), 1) * _correlation(self._places, there, length_m)
-        return self._placed @ near, _alike(1, 1) * _correlation(there, there, length_m)
+    def _near(self, place: Array) -> dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]:
+        """Of each kind: correlation of what was told with the soil of each axle at a place, (r, 3), and of
+        these, (3, 3)."""
+        there = place.reshape(1, -1, AXLES, 2).transpose(0, 2, 1, 3)
+        apart, own = _apart(self._places, there), _apart(there, there)
+        return {
+            key: (self._placed @ one.correlation(apart, one.length_m), one.correlation(own, one.length_m))
+            for key, one in self._kinds.items()
+        }
 
     def _with(self, near: tuple[Array, Array], sd: float) -> tuple[Array, Array]:
-        """Covariance of what was told with the six at a place, (r, 6), and of these, (6, 6)."""
-        cross, own = self._directions[1] * self.prior_sd**2, np.diag(self.prior_sd**2)
+        """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
+        of, units, _, _ = self._directions
+        epochs = np.array([window.epoch for window in self.windows])
+        cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
+        cross -= units * self._between_epochs * (epochs[of] != epochs.max())[:, None]
         cross[:, :AXLES] += sd**2 * near[0]
         own[:AXLES, :AXLES] += sd**2 * near[1]
         return cross, own
@@ -260,24 +338,10 @@ class SoilMemory:
         """By how much the chosen windows, then the others, narrow the stiffnesses at a place, over their
         prior's sd, and what is left of it; mean of the three. They add up to 1."""
         one = max(self._hypotheses, key=lambda hypothesis: hypothesis.weight)
-        cross, own = self._with(self._near(place, one.length_m), one.sd)
+        cross, own = self._with(self._near(place)[one.soil[1:]], one.soil.sd)
         rows = np.flatnonzero(np.array(chosen)[self._directions[0]])
-        by_chosen = cross[rows].T @ np.linalg.solve(one.covariance[np.ix_(rows, rows)], cross[rows])
-        left = [np.diag(own - told)[:AXLES] for told in (by_chosen, cross.T @ one.inverse @ cross)]
+        told = one.root[rows] @ one.root[rows].T
+        by_chosen = cross[rows].T @ np.linalg.solve(told, cross[rows])
+        left = [np.diag(own - known)[:AXLES] for known in (by_chosen, cross.T @ one.solve(cross))]
         first, last = (np.mean(np.sqrt(np.maximum(v, 0.0) / np.diag(own)[:AXLES])) for v in left)
         return float(1.0 - first), float(first - last), float(last)
-
-
-def _alike(n: int, m: int) -> Array:
-    """Correlation of axles with each other at one place, tiled, (3 n, 3 m)."""
-    one = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
-    return np.tile(one, (n, m))
-
-
-def _correlation(these: Array, those: Array, length: float) -> Array:
-    """Of the means over paths, (n, 3, p, 2) and (m, 3, q, 2): (3 n, 3 m)."""
-    one, other = these.reshape(-1, 2), those.reshape(-1, 2)
-    north, east = (one[:, None, k] - other[None, :, k] for k in (0, 1))
-    near = np.exp(-np.sqrt(north**2 + east**2) / length)
-    p, q = these.shape[2], those.shape[2]
-    return np.asarray(near.reshape(-1, p, len(other) // q, q).mean(axis=(1, 3)))

@@ -58,9 +58,9 @@ class Estimator:
     enabled: Callable[[Machine], bool] = lambda machine: True  # whether it runs with this machine file
     prepare: Callable[[Machine], None] = lambda machine: None  # compiles what `take` needs; changes nothing
     kernels: tuple[Kernel[..., Any], ...] = ()  # that `prepare` compiles
-    learn: Callable[[Any, Any, Any], None] | None = (
-        None  # (state, job, result): take what a fit of another row has told, before that row adopts it
-    )
+    learn: Callable[[Any, Any, Any], bool] | None = None
+    """(state, job, result): take what a fit of another row has told, before that row adopts it. Returns
+    whether a change of soil that it found was foreseen."""
 
 
 ESTIMATORS: tuple[Estimator, ...] = (
@@ -87,6 +87,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_tracker, learned.into_tracker),
         prepare=tracker.prepare,
         kernels=tracker.KERNELS,
+        learn=tracker.learn,
     ),
     Estimator(
         pem.METHOD,

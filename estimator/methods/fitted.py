@@ -2,7 +2,7 @@
 adoption, and how old what they tell is."""
 
 from dataclasses import KW_ONLY, dataclass, field
-from typing import Annotated, Protocol
+from typing import Annotated, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,55 @@ from tilth.estimator.record.windows import OPEN, late_reason, refuse
 from tilth.estimator.results.method_state import SixState, step_clock
 from tilth.estimator.results.reporting import age_s, stale_reason
 from tilth.estimator.state_json import Shape
+from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import EventKind, Pose
 from tilth.schemas.notices import reasoned
 from tilth.schemas.reasons import Code, Reason
+
+
+@dataclass(frozen=True, slots=True)
+class FittedTuning:
+    """By how much the results of one job differ between two kinds of processor."""
+
+    ends: float = tuned(0.1, "sd", "apart at most: so near its maximum a search may end")
+    """As `SearchTuning.settled_step`. The largest seen is 0.065, of sigma_i on a drive that tells little."""
+    near: float = tuned(0.05, "1", "of a threshold: a statistic that such ends may take to its other side")
+
+
+FITTED: Final = FittedTuning()
 
 
 class Fit(Protocol):
     """The result of a job."""
 
     @property
+    def mean(self) -> NDArray[np.float64]: ...  # [n] of unknowns.NAMES
+    @property
+    def covariance(self) -> NDArray[np.float64]: ...  # [n, n]
+    @property
+    def changed(self) -> bool: ...  # whether its data contradict what was known
+    @property
+    def tie(
+        self,
+    ) -> bool: ...  # whether another kind of computer may decide otherwise
+    @property
     def refused(self) -> Code | None: ...  # why it must not be used
     @property
     def cost(self) -> float: ...
+
+
+def is_tie(*pairs: tuple[float, float]) -> bool:
+    """Whether any of (statistic, threshold) is so near that another computer may decide otherwise."""
+    return any(abs(value - limit) <= FITTED.near * limit for value, limit in pairs)
+
+
+def alike(one: Fit, other: Fit) -> bool:
+    """Whether both may be the result of one job, computed on two kinds of processor."""
+    if (one.changed, one.refused) != (other.changed, other.refused):
+        return one.tie or other.tie
+    sds, others = (np.sqrt(np.diag(fit.covariance)) for fit in (one, other))
+    apart = np.abs(one.mean - other.mean) <= FITTED.ends * sds
+    return bool(np.all(apart) and np.all(np.abs(sds - others) <= FITTED.ends * sds))
 
 
 @dataclass(slots=True)

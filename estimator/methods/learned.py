@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.soil_field import KeptSoil
 from tilth.estimator.filters.unknowns import SIX
-from tilth.estimator.methods.pem import PemState, drifted, with_known_masses
+from tilth.estimator.methods.pem import PemState, drifted, excess, with_known_masses
 from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.methods.rows import RowsState, learned_covariance
 from tilth.estimator.methods.steady_state import SteadyState
@@ -65,7 +65,7 @@ def of_tracker(state: TrackerState) -> Learned:
     counts = {
         "window_s": state.window_s, "tight_s": state.tight_s, "hard": state.hard, "distance": state.distance,
     }  # fmt: skip
-    return Learned(state.mean.copy(), state.covariance.copy(), counts)
+    return Learned(state.mean.copy(), _with_excess(state.covariance, state.excess), counts)
 
 
 def into_tracker(state: TrackerState, learned: Learned) -> None:
@@ -80,8 +80,9 @@ def into_tracker(state: TrackerState, learned: Learned) -> None:
 def of_pem(state: PemState) -> Learned:
     """What this method has learned, from its state."""
     counts = {"fits": float(state.fits), "window_s": float(state.window_s)}
-    counts |= dict(zip(_MODEL_SDS, state.model_sd.tolist(), strict=True))
-    return Learned(state.mean.copy(), drifted(state), counts)
+    found = excess(state)
+    counts |= dict(zip(_MODEL_SDS, np.hypot(state.model_sd, found).tolist(), strict=True))
+    return Learned(state.mean.copy(), _with_excess(drifted(state), found), counts)
 
 
 def into_pem(state: PemState, learned: Learned) -> None:
@@ -123,6 +124,13 @@ def into_place(state: PlaceState, learned: Learned) -> None:
         state.windows = [
             replace(window, passing=-1) for window in learned.soil.windows
         ]  # of no pass of this run
+
+
+def _with_excess(covariance: Array, excess: Array) -> Array:
+    """With what the next run has to find again: sds of the six, (6,)."""
+    wider = covariance.copy()
+    wider[SIX, SIX] += np.diag(excess**2)
+    return wider
 
 
 def _counted(learned: Learned, name: str) -> float:

@@ -68,10 +68,7 @@ class OpenTracker:
 def initial(machine: Machine) -> OpenTracker:
     """The state before any data, at the values of the machine file, as wide as people are wrong."""
     state = tracker.initial(machine)
-    sd = state.prior_sd
-    for row in OPEN:
-        sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
-    sd[SIX] = np.maximum(sd[SIX], OPEN_TRACKER.tyre_log_sd)
+    sd = state.prior_sd[:] = opened(state.prior_sd)
     sd[[AT["cg_t"], AT["cg_i"], AT["lever_t"], AT["lever_i"], AT["m_t"]]] = 0.0
     state.covariance = np.diag(sd**2)
     state.covariance[NOISE, NOISE] = 0.0
@@ -84,15 +81,27 @@ def initial(machine: Machine) -> OpenTracker:
     return OpenTracker(state)
 
 
-def observe(state: OpenTracker, machine: Machine, segment: Segment | None) -> OpenEvidence:
-    """Take the segment that is complete with a pose. What it finds now."""
+def opened(sd: Array) -> Array:
+    """Prior sds, (n,) of unknowns.NAMES, with all OPEN numbers and the six as wide as people are wrong."""
+    sd = sd.copy()
+    for row in OPEN:
+        sd[AT[row.name]] = max(sd[AT[row.name]], row.open_sd)
+    sd[SIX] = np.maximum(sd[SIX], OPEN_TRACKER.tyre_log_sd)
+    return sd
+
+
+def observe(
+    state: OpenTracker, machine: Machine, segment: Segment | None, believing: TrackerState
+) -> OpenEvidence:
+    """Take the segment that is complete with a pose. What it finds now. believing: the tracker that has the
+    file's sds for priors, which tells what its errors do to numbers that are learned with it."""
     if segment is not None:
         learned = _take(state.tracker, machine, segment)
         state.learned += learned
         if learned or state.tracker.reason is Code.HELD:
             state.rows = [*state.rows, _rejected_rows(state.tracker)][-OPEN_TRACKER.outlier_segments :]
     return OpenEvidence(
-        misfit(state.tracker, machine), _at_first(machine), state.learned, _rejected(state.rows),
+        misfit(state.tracker, believing, machine), _at_first(machine), state.learned, _rejected(state.rows),
         is_rough(state.tracker),
     )  # fmt: skip
 
@@ -105,7 +114,7 @@ def clock_stepped(state: OpenTracker) -> None:
 
 @once_for_a_machine
 def _at_first(machine: Machine) -> Misfit:
-    return misfit(initial(machine).tracker, machine)
+    return misfit(initial(machine).tracker, tracker.initial(machine), machine)
 
 
 def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
@@ -129,10 +138,16 @@ def _fade(state: TrackerState) -> None:
         state.P_xtheta[:, places] *= share
 
 
-def misfit(state: TrackerState, machine: Machine) -> Misfit:
-    """The present difference from the machine file."""
-    off = (state.mean - state.prior_mean)[PLACES]
-    return misfit_of(off, state.covariance[np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)], machine)
+def misfit(state: TrackerState, believing: TrackerState, machine: Machine) -> Misfit:
+    """The present difference from the machine file. believing: as of `observe`."""
+    return from_file(state.mean - state.prior_mean, state.covariance, believing.covariance, machine)
+
+
+def from_file(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
+    """What is found, (n,) off the machine file with its covariance, (n, n), of unknowns.NAMES. believing: the
+    covariance of what believes the file as far as its sds say."""
+    at = np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)
+    return misfit_of(off[PLACES], covariance[at], believing[at], machine)
 
 
 def is_rough(state: TrackerState) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import fit_covariance, scoring, unknowns
+from tilth.estimator.filters.contrast import Contrast, joined
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_field import Told, told
@@ -77,6 +78,7 @@ class Job:
     record: Record
     mean: Array
     covariance: Array
+    contrast: Contrast = field(default_factory=Contrast)  # of the windows before
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +94,15 @@ class Fit:
     iterations: int
     rows: int
     changed: bool  # the window contradicted what was known
+    tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
+    contrast: Contrast = field(default_factory=Contrast)  # of the windows so far, with this one if it is used
 
 
 @dataclass(slots=True)
 class PemState(FittedState):
-    """`distance` is since the last window. What errors of the model leave is in `covariance`, too."""
+    """`distance` is since the last window. What errors of the model leave is in `covariance`, too, but for
+    the excess of `last.contrast`."""
 
     window: list[Segment] = field(default_factory=list)
     closed: Record | None = None  # a complete window whose fit is not requested yet
@@ -143,7 +148,8 @@ def request_fit(state: PemState, t_ns: int) -> Job | None:
     if state.closed is None or state.job is not None:
         return None
     record, state.closed = state.closed, None
-    state.model_sd = state.model_sd * retained_share(state.distance)
+    share = retained_share(state.distance)
+    state.model_sd = state.model_sd * share
     state.covariance, state.distance = drifted(state), 0.0
     covariance = state.covariance.copy()
     covariance[SIX, SIX] -= np.diag(_errors_in_common(state, record, state.mean) ** 2)
@@ -152,7 +158,8 @@ def request_fit(state: PemState, t_ns: int) -> Job | None:
     covariance[:, NOISE] = 0.0
     noise_sd = np.full(NOISE.stop - NOISE.start, PEM.noise_sd) if state.fits else state.prior_sd[NOISE]
     covariance[NOISE, NOISE] = np.diag(noise_sd**2)
-    state.job = Job(t_ns, record.end_ns, record, state.mean.copy(), covariance)
+    contrast = state.last.contrast.faded(share**2) if state.last else Contrast()
+    state.job = Job(t_ns, record.end_ns, record, state.mean.copy(), covariance, contrast)
     return state.job
 
 
@@ -167,6 +174,12 @@ def drifted(state: PemState) -> Array:
     return method_state.drifted(state, state.covariance, state.distance)
 
 
+def excess(state: PemState) -> Array:
+    """Sds of the six, (6,), from what is wrong with the model of the ground: filters/contrast.py. It widens
+    what is published; the next window is fitted as if there were none."""
+    return state.last.contrast.excess if state.last else np.zeros(6)
+
+
 def fit(machine: Machine, job: Job) -> Fit:
     """The result of a job, a pure function of its arguments."""
     setup = rig_setup(machine)
@@ -174,22 +187,30 @@ def fit(machine: Machine, job: Job) -> Fit:
     mean, covariance = job.mean, job.covariance
     found = _posterior(job.record, setup, mean, covariance, prior_mean)
     change = found.mean[SIX] - mean[SIX]
-    chi_square, changed = 0.0, False
+    chi_square, changed, tie = 0.0, False, False
     if np.all(np.isfinite(found.covariance)):
         errors = fit_covariance.model_sd_of(job.record, found.mean)
         after = found.covariance[SIX, SIX] - np.diag(errors**2)
         chi_square = contradiction(change, covariance[SIX, SIX], after, errors)
+        tie = fitted.is_tie((chi_square, PEM.suspect_chi_square))
     if chi_square > PEM.suspect_chi_square:
         mean, covariance = of_other_tyres(mean, covariance, prior_mean, prior_sd)
         anew = _posterior(job.record, setup, mean, covariance)
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
         changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
+        tie |= chi_square <= PEM.change_chi_square and fitted.is_tie((ratio, PEM.change_ratio))
+        tie |= ratio <= PEM.change_ratio and fitted.is_tie((chi_square, PEM.change_chi_square))
         found = scoring.with_gain(anew, found.gain) if changed else found
     refused = refusal(found, prior_mean, prior_sd)
-    alone = None if refused else _told(job.record, mean, covariance, found, (prior_mean, prior_sd))
+    alone, contrast, prior = None, job.contrast, (prior_mean, prior_sd)
+    if refused is None and found.contrast is not None:
+        contrast = joined(
+            Contrast() if changed else contrast, found.contrast, prior, (found.mean, found.covariance)
+        )
+        alone = _told(job.record, mean, covariance, found, prior, contrast.excess)
     return Fit(
         found.mean, found.covariance, alone, found.gain, found.whiteness, found.cost,
-        found.iterations, found.rows, changed, refused,
+        found.iterations, found.rows, changed, tie, refused, contrast,
     )  # fmt: skip
 
 
@@ -199,8 +220,10 @@ def _told(
     covariance: Array,
     found: scoring.Posterior,
     prior: tuple[Array, Array],
+    excess: Array,
 ) -> Told:
     """What a window alone tells. mean, covariance: before it, (n,) and (n, n). prior: as of unknowns.prior.
+    excess: (6,).
 
     Its information is as much less than the likelihood's as the published sds are wider than those by it: for
     coloured noise and the ground, and without errors of the model, which windows have in common.
@@ -213,7 +236,7 @@ def _told(
     published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
-    return told(mean, known, found.mean, found.information, prior, wider, errors)
+    return told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
 
 
 def _posterior(
@@ -224,7 +247,7 @@ def _posterior(
     A stiffness is as uncertain as the mass that it is learned over, and errs with it.
     """
     known = with_known_masses(covariance)
-    found = scoring.maximise_posterior(record, setup, mean, known, reference)
+    found = scoring.maximise_posterior(record, setup, mean, known, reference, contrast=True)
     return replace(found, covariance=found.covariance + of_masses(covariance))
 
 
@@ -338,9 +361,12 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
 
 
 def _soil_changed(job: Job, made: Fit) -> Notice:
-    """The factors that are known, with their intervals."""
-    logs = made.mean[SIX] - job.mean[SIX]
-    sds = np.sqrt(np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX])
+    variances = np.diag(made.covariance)[SIX] + np.diag(job.covariance)[SIX]
+    return soil_changed(made.mean[SIX] - job.mean[SIX], np.sqrt(variances))
+
+
+def soil_changed(logs: Array, sds: Array) -> Notice:
+    """The factors by which the six have changed, of those that are known, with their intervals; (6,) each."""
     factors = [
         notice(NoticeCode.FACTOR, parameter=name, low=low, high=high)
         for name, log, sd in zip(PARAMETERS, logs.tolist(), sds.tolist(), strict=True)
@@ -362,8 +388,9 @@ def estimate(state: PemState, machine: Machine, t_ns: int) -> Estimate:
     """The estimate at t_ns."""
     last = state.last
     own = {"held_out_gain": last.gain if last else 0.0, "whiteness": last.whiteness if last else 0.0}
+    covariance = drifted(state)[SIX, SIX] + np.diag(excess(state) ** 2)
     return six_parameter_estimate(
-        state, machine, t_ns, METHOD, drifted(state)[SIX, SIX], Code.NOTHING_FITTED,
+        state, machine, t_ns, METHOD, covariance, Code.NOTHING_FITTED,
         fitted.excitation(state, own, last, last.iterations if last else 0), state.advisor.advice,
         fitted.stale(state, t_ns),
     )  # fmt: skip

@@ -11,14 +11,13 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import soil_field, unknowns
-from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow
+from tilth.estimator.filters.soil_field import AXLES, SOIL_FIELD, SoilMemory, SoilWindow
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import SIX, Vector
 from tilth.estimator.methods import pem, rows
@@ -30,8 +29,9 @@ from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
 from tilth.estimator.tuning import tuned
-from tilth.schemas.flow import Estimate, Pose, SoilPlace
+from tilth.schemas.flow import Estimate, EventKind, Pose, SoilPlace
 from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
@@ -49,6 +49,8 @@ class PlaceTuning:
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
     )
     turned: float = tuned(math.radians(120.0), "rad", "from the heading of a pass: the next one begins")
+    known_sd: float = tuned(0.2, "1", "of the factor common to stiffnesses, with which a place is known")
+    unexpected: float = tuned(1e-4, "1", "probability of what a window tells: the soil has changed in time")
 
 
 PLACE: Final = PlaceTuning()
@@ -135,21 +137,56 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
     state.track.clear()
 
 
-def learn(state: PlaceState, job: Any, made: Any) -> None:
-    """Take what another method's fit has told."""
+def learn(state: PlaceState, job: Any, made: Any) -> bool:
+    """Take what another method's fit has told. Returns whether a change of soil that it found was foreseen:
+    the place was known, and is as it was known."""
     if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
-        return
+        return False
     method, records = (rows.METHOD, job.rows) if isinstance(made, rows.Fit) else (pem.METHOD, [job.record])
     path = _path(state.track, records)
     if path is None:
-        return
+        return False
     begin_ns = records[0].t_ns
     kept = [w for w in state.windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
-    state.windows = [*kept, SoilWindow(method, begin_ns, state.passing, path, made.told)]
+    before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
+    window = SoilWindow(method, begin_ns, state.passing, path, made.told, kept[-1].epoch if kept else 0)
+    after = SoilMemory([*kept, window], state.prior_sd)
+    unexpected = before.surprise(after) < PLACE.unexpected
+    foreseen = bool(kept) and not unexpected and _common_sd(before.at(path)) < PLACE.known_sd
+    if unexpected:
+        if not (isinstance(made, pem.Fit) and made.changed):  # else it is told by pem
+            state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
+        after = SoilMemory([*kept, replace(window, epoch=window.epoch + 1)], state.prior_sd)
+    state.windows, state.soil = list(after.windows), after
     if len(state.windows) > PLACE.most_windows:
         _merge_nearest(state)
     state.informed_ns = job.closed_ns
     state.window_s += sum(len(record.ticks) for record in records) * DT
+    return foreseen
+
+
+def expects(state: PlaceState, logs: Array) -> bool:
+    """Whether this place is known, and a change to what a method finds here now is no news. logs: of the six
+    as the method has them while they are still roughly known, (n,)."""
+    if state.axles is None or not state.windows:
+        return False
+    there = _soil(state).at(state.axles)
+    off = float(np.mean((logs[SIX] - state.prior_mean[SIX] - there.mean)[:AXLES]))
+    sd = _common_sd(there)
+    return sd < PLACE.known_sd and abs(off) < 2.0 * math.hypot(sd, PLACE.known_sd)
+
+
+def _common_sd(there: soil_field.At) -> float:
+    """Of the mean of the three stiffnesses' logarithms."""
+    return math.sqrt(float(there.covariance[:AXLES, :AXLES].mean()))
+
+
+def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
+    """By which factors a window tells otherwise than was expected of its way."""
+    expected, weak = before.at(window.path), np.diag(before.prior_sd**-2.0)
+    found = np.linalg.inv(window.told.information + weak)
+    variances = np.diag(found) + np.diag(expected.covariance)
+    return pem.soil_changed(found @ window.told.vector - expected.mean, np.sqrt(variances))
 
 
 def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:
@@ -163,17 +200,16 @@ def _evenly(path: Array) -> Array:
 
 
 def _merge_nearest(state: PlaceState) -> None:
-    """Of two windows of a method that were nearest to each other, one."""
-    pairs = [(a, b) for a, b in combinations(state.windows[:-1], 2) if a.method == b.method]
-    one, other = min(pairs, key=lambda pair: _apart(*pair))
-    both = soil_field.merged(one, other)
-    state.windows = [both if w is other else w for w in state.windows if w is not one]
-
-
-def _apart(one: SoilWindow, other: SoilWindow) -> float:
-    """How far their ways are from each other, m: each place to the nearest of the other."""
-    between = np.linalg.norm(one.path[:, None, 1] - other.path[None, :, 1], axis=-1)
-    return float(max(between.min(axis=0).mean(), between.min(axis=1).mean()))
+    """Of two windows of a method that were nearest to each other, one. The last one stays."""
+    old = state.windows[:-1]
+    methods, ways = np.array([w.method for w in old]), np.array([w.path[:, 1] for w in old])
+    between = np.linalg.norm(ways[:, None, :, None] - ways[None, :, None, :], axis=-1)
+    # How far ways are from each other: each place to the nearest of the other.
+    apart = np.maximum(between.min(axis=2).mean(axis=2), between.min(axis=3).mean(axis=2))
+    apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
+    first, second = divmod(int(np.argmin(apart)), len(old))
+    both = soil_field.merged(old[first], old[second])
+    state.windows = [both if k == second else w for k, w in enumerate(state.windows) if k != first]
 
 
 def estimate(state: PlaceState, machine: Machine, t_ns: int) -> Estimate:

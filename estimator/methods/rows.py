@@ -15,11 +15,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.estimator.diagnosis.open_numbers import Misfit
 from tilth.estimator.filters import row_fit, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.soil_field import Told, told
 from tilth.estimator.filters.unknowns import AT, SIX, Matrix, Vector
-from tilth.estimator.methods import fitted, pem
+from tilth.estimator.methods import fitted, open_tracker, pem
 from tilth.estimator.methods.fitted import FittedState
 from tilth.estimator.record import straight_rows
 from tilth.estimator.record.record import Record, Segment
@@ -82,8 +83,10 @@ class Fit:
     steps: int
     cost: float
     changed: bool  # the block contradicted what was known
+    tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
     told: Told | None = None  # what the block alone tells of the six
+    of_file: Misfit | None = None  # what all rows so far tell of the machine file
 
 
 @dataclass(slots=True)
@@ -145,24 +148,47 @@ def fit(machine: Machine, job: Job) -> Fit:
     found, changed = _posterior(machine, job, job.mean, job.covariance), False
     if found is None:
         return Fit(
-            job.mean, job.covariance, 0.0, 0.0, 0.0, 0, 0.0, False, Code.OUTPUTS_NOT_MEASURED
+            job.mean, job.covariance, 0.0, 0.0, 0.0, 0, 0.0, False, False, Code.OUTPUTS_NOT_MEASURED
         )  # fmt: skip
     known, start = job.covariance, job.mean
     before, after = known[SIX, SIX], found.covariance[SIX, SIX]
-    if pem.contradiction((found.mean - job.mean)[SIX], before, after, np.full(6, TUNING.model_sd)) > (
-        TUNING.change_chi_square
-    ):
+    moved, errors = (found.mean - job.mean)[SIX], np.full(6, TUNING.model_sd)
+    chi_square = pem.contradiction(moved, before, after, errors)
+    if chi_square > TUNING.change_chi_square:
         start, known = pem.of_other_tyres(job.mean, job.covariance, prior_mean, prior_sd)
         changed = True
         found = _posterior(machine, job, start, known) or found
     own = float(found.wheel_rms * np.sqrt(found.own_share))
     little = own < TUNING.least_rms or found.own_share < TUNING.least_share
+    shares = (own, TUNING.least_rms), (found.own_share, TUNING.least_share)
+    tie = fitted.is_tie((chi_square, TUNING.change_chi_square), *shares)
     refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
     alone = None if refused else _told(start, known, found, (prior_mean, prior_sd))
+    of_file = None if refused else _of_file(machine, found)
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
-        refused, alone,
+        tie, refused, alone, of_file,
     )  # fmt: skip
+
+
+def _of_file(machine: Machine, found: row_fit.RowPosterior) -> Misfit:
+    """What would be found were the numbers of the file as open as in the open tracker: the search ends there
+    but for a step, since it is by information that the posterior is wider then."""
+    mean, sd = prior(machine)
+    wide, off = open_tracker.opened(sd), found.mean - mean
+    active = np.flatnonzero((sd > 0.0) & ~np.isin(np.arange(len(sd)), unknowns.MASSES))
+    at, narrow = np.ix_(active, active), np.diag(sd[active] ** -2.0)
+    information = _added(np.diag(sd[active] ** 2), (found.covariance - pem.of_masses(found.covariance))[at])
+    covariance = np.diag(wide**2)
+    covariance[at] = np.linalg.inv(information + np.diag(wide[active] ** -2.0))
+    off[active] += covariance[at] @ (narrow - np.diag(wide[active] ** -2.0)) @ off[active]
+    return open_tracker.from_file(off, covariance, found.covariance, machine)
+
+
+def _added(before: Array, after: Array) -> Array:
+    """Information, (a, a), between two covariances. Where filters differ, it may be less than before."""
+    sizes, axes = np.linalg.eigh(np.linalg.inv(after) - np.linalg.inv(before))
+    return np.asarray((axes * np.maximum(sizes, 0.0)) @ axes.T)
 
 
 def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior: tuple[Array, Array]) -> Told:
@@ -170,9 +196,7 @@ def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior: tu
     known, after = pem.with_known_masses(covariance), found.covariance - pem.of_masses(covariance)
     active = np.flatnonzero(np.diag(known) > 0.0)
     at, added = np.ix_(active, active), np.zeros_like(known)
-    added[at] = np.linalg.inv(after[at]) - np.linalg.inv(known[at])
-    sizes, axes = np.linalg.eigh(added)
-    added = (axes * np.maximum(sizes, 0.0)) @ axes.T  # where filters differ, it may be less than before
+    added[at] = _added(known[at], after[at])
     return told(mean, known, found.mean, added, prior, np.ones(6), np.full(6, TUNING.model_sd))
 
 

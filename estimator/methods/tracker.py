@@ -7,7 +7,7 @@ the next one is there: if the latency is smaller than that of the machine file, 
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ from tilth.estimator.filters.unknowns import (
     NOISE,
     SIX,
 )
+from tilth.estimator.methods import pem
 from tilth.estimator.methods.pem import of_masses, with_known_masses
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
@@ -139,6 +140,8 @@ class TrackerState(SixState):
     )  # rows by USED, GATED, BAD
     tight_s: float = 0.0  # duration of tight turns in `window_s`
     hard: float = 0.0  # integral of the squared lateral acceleration over it, m^2/s^3
+    excess: Annotated[Array, Shape((6,))] = field(default_factory=lambda: np.zeros(6))
+    """Sds of the six from what is wrong with the model of the ground, as `pem` has found."""
     changed_ns: int = 0
     restarts: int = 0
     advisor: Advisor = field(default_factory=Advisor)
@@ -408,6 +411,14 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
     state.changed_ns += by_ns if state.changed_ns else 0
 
 
+def learn(state: TrackerState, job: Any, made: Any) -> bool:
+    """Take what a fit of `pem` has shown of the model of the ground: this method has the same. A change of
+    soil is not foreseen here."""
+    if isinstance(made, pem.Fit):
+        state.excess = made.contrast.excess
+    return False
+
+
 def reported_covariance(state: TrackerState) -> Array:
     """Reported covariance of the six logarithms, (6, 6): the information of the data over `sd_factor`
     squared, errors of the model, and what is not known of the masses."""
@@ -423,6 +434,7 @@ def reported_covariance(state: TrackerState) -> Array:
         state.mean[SIX],
         fit_covariance.FIT_COVARIANCE.tracked_tight_sd,
     )
+    room = np.hypot(room, state.excess)
     masses = of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
     return np.asarray((covariance + covariance.T) / 2.0 + np.diag(room**2) + masses, np.float64)
 

@@ -170,8 +170,11 @@ def _track(receiver: Receiver) -> Track:
 
 def is_number(measurement: Measurement) -> bool:
     """Whether all its values are finite: one that is not would spoil every pose for a while."""
-    values = (getattr(measurement, name) for name in _NUMBERS[type(measurement)])
-    return all(value is None or math.isfinite(value) for value in values)
+    for name in _NUMBERS[type(measurement)]:
+        value = getattr(measurement, name)
+        if value is not None and not math.isfinite(value):
+            return False
+    return True
 
 
 def take(state: Aligner, measurement: Measurement) -> None:

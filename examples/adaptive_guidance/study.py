@@ -1,8 +1,8 @@
 """What live parameters are worth to guidance: `uv run python -m tilth.adaptive_guidance.study`.
 
 A field is driven in lockstep by controllers that differ only in what they know of the soil, which is as the
-machine file has it on the first half and 40 % softer on the second. Everything is from fixed seeds. Prints
-the tables of docs/guidance.md and writes its figure.
+machine file has it on the first half and 40 % softer on the second, or in patches with a wet end (`--part
+patches`). Everything is from fixed seeds. Prints the tables of docs/guidance.md and writes its figure.
 """
 
 import argparse
@@ -37,6 +37,10 @@ SOFTER: Final = 0.6
 SETTLED_S: Final = 10.0  # of the start that do not count
 DRAWN_S: Final = 0.5  # between points of the figure
 WRONG_SD: Final = 3.0
+PATCHES: Final = (1, 2, 3, 4, 5)  # seeds of fields in patches
+BESIDE: Final = replace(WORK, spacing=36.0, radius=12.0)  # as near as turns of that radius allow
+LEARNED: Final = 2  # rows that are driven before it is counted
+LEAST_GAP: Final = 0.1  # between fixed and all-knowing gains, that counts
 KNOWN: Final = {
     "of the tractor's front axle": ("C_af",),
     "of its rear axle": ("C_ar",),
@@ -72,20 +76,40 @@ def scenario_of(machine: Machine, work: Work) -> Scenario:
     return Scenario(speed=SPEED, soil=soil, ground=Ground(roll_sd_deg=0.5, force_sd=0.01))
 
 
+def patches_of(machine: Machine, work: Work, seed: int) -> Scenario:
+    """Soil that is on average as the machine file has it, in patches, with an end that is softer."""
+    rng, whole = np.random.default_rng([53, seed]), scenario_of(machine, work)
+    wet = 1.0 - rng.uniform(0.3, 0.5)
+    end = SoilChange(
+        north=rng.uniform(0.5, 0.7) * work.length, east=0.0, towards_deg=rng.uniform(-30.0, 30.0), over=20.0,
+        C_af=wet, C_ar=wet, C_ai=wet,
+    )  # fmt: skip
+    soil = replace(
+        whole.soil, changes=(end,), patch_log_sd=rng.uniform(0.1, 0.3), patch_length=rng.uniform(20.0, 60.0),
+        patch_across=rng.uniform(0.5, 2.0), patch_common=rng.uniform(0.3, 1.0),
+    )  # fmt: skip
+    return replace(whole, soil=soil)
+
+
 def middle(work: Work) -> float:
     """Where the soil changes: half-way between two rows, m east."""
     before = work.rows / 2 if work.rows_before is None else work.rows_before
     return (before - 0.5) * work.spacing
 
 
-def driven(machine: Machine, seed: int, mode: str, work: Work = WORK, **options: object) -> DrivenPath:
-    """options: of lockstep.run. Raises RuntimeError where a run did not come to its end."""
-    line, truth, trace = run(machine, seed, scenario_of(machine, work), work, mode, **options)  # type: ignore[arg-type]
+def driven(
+    machine: Machine, seed: int, mode: str, work: Work = WORK, patches: bool = False, **options: object
+) -> DrivenPath:
+    """patches: whether the field is in patches; `after` is then after the first LEARNED rows. options: of
+    lockstep.run. Raises RuntimeError where a run did not come to its end."""
+    scenario = patches_of(machine, work, seed) if patches else scenario_of(machine, work)
+    line, truth, trace = run(machine, seed, scenario, work, mode, **options)  # type: ignore[arg-type]
     if trace.refused or trace.ended != "done":
         raise RuntimeError(f"the steering refused {trace.refused}; the run ended: {trace.ended}")
     error, at = cross_track(line, truth)
-    east = truth.implement.y[::EVERY]
-    return DrivenPath(truth.time[::EVERY], error, line.row[at], east > middle(work), trace.estimates)
+    row = line.row[at]
+    after = np.abs(row) >= LEARNED if patches else truth.implement.y[::EVERY] > middle(work)
+    return DrivenPath(truth.time[::EVERY], error, row, after, trace.estimates)
 
 
 def rms(runs: Iterable[DrivenPath], after: bool, turn: bool) -> float:
@@ -139,11 +163,16 @@ def main() -> None:
     """Print the tables of the study, or one of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--figure", type=Path, help="write the figure here")
-    parser.add_argument("--part", choices=("main", "known", "wrong", "doubt"), help="only this table")
+    parser.add_argument(
+        "--part", choices=("main", "known", "wrong", "doubt", "patches"), help="only this table"
+    )
     args = parser.parse_args()
     machine = packaged()
     if args.part == "doubt":
         _doubt_table(machine)
+        return
+    if args.part == "patches":
+        _patches_table(machine)
         return
     runs: dict[str, list[DrivenPath]] = {
         mode: [driven(machine, s, mode) for s in SEEDS] for mode in MODES[::2]
@@ -193,6 +222,19 @@ def _doubt_table(machine: Machine) -> None:
         ("adapting without doubt, turns of 12 m", "adapting", TIGHT, trusting),
     ):
         _line(name, [driven(machine, s, mode, work, limits=limits) for s in SEEDS])
+
+
+def _patches_table(machine: Machine) -> None:
+    """Fields in patches, after the second row: how much of the gap to all-knowing gains is recovered."""
+    _say("| seed, where | fixed | adapting | knowing, cm | of the gap recovered |\n|---|---|---|---|---|")
+    for seed in PATCHES:
+        runs = [driven(machine, seed, mode, BESIDE, patches=True) for mode in MODES]
+        for where, turn in (("rows", False), ("turns", True)):
+            fixed, adapting, knowing = (rms([one], True, turn) for one in runs)
+            counts = fixed - knowing >= LEAST_GAP * fixed
+            share = f"{(fixed - adapting) / (fixed - knowing):.0%}" if counts else "no gap"
+            cells = " | ".join(f"{100 * each:.1f}" for each in (fixed, adapting, knowing))
+            _say(f"| {seed}, {where} | {cells} | {share} |")
 
 
 def _line(name: str, runs: list[DrivenPath]) -> None:

@@ -25,7 +25,9 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.plausible import GRAVITY, unusual
 from tilth.schemas.readable import reason_of
+from tilth.schemas.rule_of_thumb import IMPLEMENT_SHARE, TRACTOR_SHARE, yaw_inertia
 from tilth.schemas.sentences import notice_sentence
+from tilth.schemas.spread import plus_minus
 
 TURN_S = 0.05
 OPEN_S = 15.0  # some adapters take two seconds, a server that does not answer ten
@@ -53,8 +55,26 @@ def _configuration(machine: Machine) -> Iterator[CheckFinding]:
     text = f"{machine.name}: buses: {', '.join(bus.name for bus in machine.bus)}; receivers: {mounts}"
     yield CheckFinding("configuration", Level.OK, text)
     yield CheckFinding("loads", Level.OK, _loads(machine))
+    yield CheckFinding("yaw inertia", Level.OK, _inertias(machine))
     for rare in unusual(machine):
         yield CheckFinding("machine file", Level.WARNING, rare)
+
+
+def _inertias(machine: Machine) -> str:
+    """What a rule of thumb says beside the file's, of which no tape can tell."""
+    tractor, implement = machine.tractor, machine.implement
+    bodies = (
+        ("tractor", tractor, tractor.wheelbase, TRACTOR_SHARE),
+        ("implement", implement, implement.d.value + implement.e.value, IMPLEMENT_SHARE),
+    )
+    told = []
+    for name, body, length, share in bodies:
+        rule, said = yaw_inertia(body.mass.value, length, share), body.yaw_inertia
+        told.append(
+            f"{name} {plus_minus(said.value, said.sd, bare=True)}, "
+            f"by rule of thumb {plus_minus(rule.value, rule.sd, bare=True)}"
+        )
+    return f"kg m^2, 95 %: {'; '.join(told)}"
 
 
 def _loads(machine: Machine) -> str:

@@ -12,7 +12,10 @@ import platform
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Final
+
+from tilth import estimator, schemas
 
 PACKAGES: Final = (
     "python-can", "cantools", "mcap", "protobuf", "foxglove-schemas-protobuf", "eclipse-zenoh", "numpy",
@@ -48,6 +51,7 @@ def software() -> dict[str, str]:
         "libc": " ".join(platform.libc_ver()),
         "blas": _linear_algebra(),
         "arithmetic": _arithmetic(),
+        "estimator": _estimator(),
         **{package: of(package) for package in PACKAGES},
     }
 
@@ -77,6 +81,15 @@ def _linear_algebra() -> str:
         if one["user_api"] == "blas"
     }
     return ", ".join(sorted(found))
+
+
+def _estimator() -> str:
+    """A digest of the code that estimates: a version may be changed in a checkout."""
+    found = hashlib.sha256()
+    for package in (estimator, schemas):
+        for path in sorted(Path(package.__path__[0]).rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def _arithmetic() -> str:

@@ -1,6 +1,7 @@
 """Tracks which sensors are alive."""
 
 from dataclasses import dataclass
+from typing import Final
 
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.pose.receiver_lost import LOST
@@ -9,12 +10,16 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.states import DeviceState
 
+STARTING_NS: Final = 10_000_000_000
+"""A receiver that has just been switched on sends before it has a position: so long that is no fault."""
+
 
 @dataclass(slots=True)
 class _Device:
     """A receiver or the wheel-angle sensor. Times on the log's clock, ns; 0: never."""
 
     source: int = -1  # J1939 source address
+    first_ns: int = 0  # the first measurement of any kind
     any_ns: int = 0  # the latest measurement of any kind
     data_ns: int = 0  # the latest position or angle
     fix: FixType | None = None
@@ -48,6 +53,7 @@ class Sensors:
                 device.count += 1
             elif isinstance(measurement, Fix):
                 device.fix, device.fix_ns = measurement.fix, measurement.t_ns
+        device.first_ns = device.first_ns or measurement.t_ns
         device.any_ns = measurement.t_ns
         device.source = measurement.origin.source
 
@@ -83,4 +89,6 @@ def _state(device: _Device, t_ns: int) -> DeviceState:
         return DeviceState.WAITING
     if device.data_ns and t_ns - device.data_ns < LOST.lost_ns:
         return DeviceState.ALIVE
+    if not device.data_ns and t_ns - device.first_ns < STARTING_NS:
+        return DeviceState.WAITING
     return DeviceState.NO_DATA if t_ns - device.any_ns < LOST.lost_ns else DeviceState.LOST

@@ -5,26 +5,27 @@ import { Experiment } from "./experiment.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
 import { Moved } from "./moved.js";
+import { Over } from "./over.js";
 import { PlayerBar } from "./player.js";
 import { RunReport } from "./report.js";
 import { Runs } from "./runs.js";
 import { Steering } from "./steering.js";
 import { element, put, Tiles } from "./tiles.js";
 import { Traces } from "./traces.js";
-import { capital, clock, duration, flagged, hours, known, OLD_S, PARAMETERS, preparing, spaced, time } from "./words.js";
+import { capital, clock, duration, firstDrive, flagged, hours, known, OLD_S, PARAMETERS, preparing, spaced, time } from "./words.js";
 
 const LOST_MS = 3000; // the page's server says something each second
 const ANEW_MS = 5000; // then another connection is tried: this one may be dead without a word
 const EVENTS = 100;
 const QUIET_EVENTS = new Set(["heartbeat"]);
-const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", withdrawn: "✘" };
+const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", "between soft and usual": "◒", "between usual and firm": "◓", "known roughly": "○", withdrawn: "✘" };
 const byId = (id) => document.getElementById(id);
 
 const tiles = new Tiles(byId("tiles"));
 const traces = new Traces(byId("traces"));
 const steering = new Steering(byId("steering"), () => traces.times);
 const bar = new PlayerBar(), runs = new Runs(), report = new RunReport(), experiment = new Experiment();
-const calibration = new Calibration();
+const calibration = new Calibration(), over = new Over();
 const moved = new Moved(byId("moved"));
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
@@ -67,7 +68,7 @@ function take(message) {
   if (said.pose) showPose(said.pose);
   if (said.experiment) experiment.show(heard.experiment, live("experiment"));
   if (said.calibration) showCalibration();
-  if (whole || said.status || said.player || said.report) show(); // else soon enough by the clock
+  if (whole || said.status || said.player || said.report || said.over || said.first_drive) show(); // else soon enough by the clock
 }
 
 const showCalibration = () => calibration.show(heard.calibration, live("calibration"), age("calibration"));
@@ -80,8 +81,10 @@ function show() {
   showPreparing(status);
   showFacts(status);
   showAges();
-  bar.show(heard.player);
-  runs.show(heard.player, heard.machine);
+  const chosen = heard.first_drive ? undefined : heard.player; // that one plays by itself
+  bar.show(chosen);
+  runs.show(chosen, heard.machine);
+  over.show(heard.over);
   report.show(heard.report, Boolean(reached() && heard.alive), Boolean(heard.player));
   tiles.show(status, live("status"), time(age("status")), heard.player?.run ? "? not in the log" : "? not heard");
   map.setOld(!live("pose"));
@@ -90,14 +93,16 @@ function show() {
   if (heard.shown) traces.tell(heard.soil_tire, heard.shown, !live("soil_tire"), age("soil_tire"));
   put(byId("machine"), heard.machine || "Tilth");
   byId("simulated").hidden = !heard.simulated;
-  put(byId("simulated"), heard.player?.run ? `replay of ${heard.player.run}` : heard.player ? "replay" : "simulation");
-  document.querySelector(".marks").hidden = Boolean(heard.player);
+  put(byId("simulated"), heard.first_drive ? "recorded simulated drive" : heard.player?.run ? `replay of ${heard.player.run}` : heard.player ? "replay" : "simulation");
+  const marks = document.querySelector(".marks");
+  marks.hidden = Boolean(heard.player || heard.over);
+  marks.disabled = Boolean(reached() && !heard.alive);
 }
 
 // Each part of the page names the message that it shows; where that is no longer so, it says how old it is.
 function showAges() {
   for (const part of document.querySelectorAll("[data-live]")) {
-    const kind = part.dataset.live, then = age(kind), old = known(then) && !live(kind);
+    const kind = part.dataset.live, then = age(kind), old = known(then) && !live(kind) && !heard.over;
     part.toggleAttribute("data-old", old);
     for (const place of part.querySelectorAll(".age")) put(place, old ? `${time(then)} old` : "");
   }
@@ -108,6 +113,8 @@ function showRun(status) {
   let [word, state, beside] = ["NOT RECORDING", "bad", known(status.uptime_s) ? duration(status.uptime_s) : ""];
   if (connected === undefined) [word, state, beside] = ["WAITING", "wait", ""];
   else if (!reached()) [word, beside] = ["NO CONNECTION", ago];
+  else if (heard.over) [word, state, beside] = ["DEMO OVER", "wait", ""];
+  else if (heard.first_drive) [word, state, beside] = ["RECORDED DRIVE", "wait", ""];
   else if (heard.player && heard.alive) [word, state, beside] = ["REPLAY", "wait", playing(heard.player)];
   else if (heard.waiting) [word, state, beside] = ["WAITING", "wait", "for the daemon"];
   else if (!ago && !heard.alive) [word, beside] = ["NO DAEMON", ""];
@@ -143,7 +150,8 @@ function putLines(box, lines) {
 
 function showPreparing(status) {
   const busy = live("status") && status.preparing;
-  const text = busy ? preparing(status, age("status")) : reached() && heard.waiting ? "Waiting for the daemon: it may just have been started." : "";
+  const first = heard.first_drive && reached();
+  const text = first ? firstDrive(heard.first_drive) : busy ? preparing(status, age("status")) : reached() && heard.waiting ? "Waiting for the daemon: it may just have been started." : "";
   put(byId("preparing"), text);
   byId("preparing").hidden = !text;
 }
@@ -320,6 +328,11 @@ for (const button of document.querySelectorAll("[data-seconds]")) {
     steering.draw();
   });
 }
+// What stays in sight stays above the bar.
+new ResizeObserver(([{ target }]) => {
+  const below = getComputedStyle(target).position === "fixed" ? target.offsetHeight : 0;
+  document.documentElement.style.setProperty("--bar", `${below}px`);
+}).observe(document.querySelector(".bar"));
 prepareMarks();
 prepareTheme();
 setInterval(watch, 500);

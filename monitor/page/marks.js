@@ -59,7 +59,8 @@ function prepareNote() {
   byId("mark").addEventListener("click", open);
   cancel.addEventListener("click", () => dialog.close());
   document.addEventListener("keydown", (event) => {
-    if (document.querySelector(".marks").hidden) return; // of a recorded run
+    const marks = document.querySelector(".marks");
+    if (marks.hidden || marks.disabled) return; // of a recorded run, or of a daemon that is gone
     const typing = dialog.open || event.target.closest?.("input, textarea");
     if (event.key.toLowerCase() === "m" && !typing && !event.ctrlKey && !event.metaKey && !event.altKey) {
       event.preventDefault();

@@ -10,6 +10,7 @@ export class Runs {
   show(player, machine) {
     byId("runs-part").hidden = !player;
     if (!player) return;
+    byId("runs-part").classList.toggle("chosen", Boolean(player.run));
     const told = { preparing: `${player.text}: ${Math.round(100 * (player.share ?? 0))} %`, failed: `✘ ${player.text}` }[player.state] ?? "";
     put(byId("runs-told"), told || (this.refused ?? ""));
     const asked = `${player.run} ${machine}`;

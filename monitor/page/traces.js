@@ -4,6 +4,7 @@ import { element, put } from "./tiles.js";
 import { clock, interval, known, PARAMETERS, told } from "./words.js";
 
 const HEIGHT = 170; // as in page.css
+const LEAST_S = 30; // that is shown
 const STRONG = new Set(["soil_change", "reset", "contradiction"]);
 const MARKED = new Set([...STRONG, "lost", "mark", "gap", "fault", "clock_step"]);
 
@@ -139,8 +140,8 @@ export class Traces {
 
   #times() {
     const last = this.t.at(-1) ?? Date.now() / 1000;
-    const first = this.seconds ? last - this.seconds : Math.min(this.t[0] ?? last, last - 60);
-    return [first, last];
+    const first = Math.min(this.t[0] ?? last, last - LEAST_S); // it grows with the run
+    return [this.seconds ? Math.max(first, last - this.seconds) : first, last];
   }
 
   // So that the estimate fills the height; without one, what was assumed before.

@@ -53,6 +53,13 @@ export function flagged(flag) {
   return kind === "contradiction" ? `contradicts the machine file: ${of.join(":")}` : spaced(flag.replace(":", " "));
 }
 
+// What is said of the recorded drive that is shown while the daemon of a demo gets ready.
+export function firstDrive({ preparing: doing, ready_in_s, recording }) {
+  const left = known(ready_in_s) ? `, about ${time(Math.round(ready_in_s))} left` : "";
+  const now = doing ? ` (${doing}${left})` : "";
+  return `This is a recorded simulated drive, while this computer gets ready${now}.${recording ? " Your own demo is recorded already." : ""}`;
+}
+
 // What the daemon still makes ready. `age_s`: of what it said about that.
 export function preparing({ preparing, ready_in_s, recording }, age_s) {
   const left = known(ready_in_s) ? ready_in_s - (age_s ?? 0) : undefined;

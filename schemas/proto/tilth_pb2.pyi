@@ -309,20 +309,24 @@ class SoilTireEstimate(_message.Message):
     def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., model: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Parameter, _Mapping]]] = ..., log_covariance: _Optional[_Iterable[float]] = ..., nuisances: _Optional[_Iterable[_Union[Nuisance, _Mapping]]] = ..., rank: _Optional[int] = ..., condition: _Optional[float] = ..., excitation: _Optional[_Iterable[_Union[Excitation, _Mapping]]] = ..., window_s: _Optional[float] = ..., rule: _Optional[str] = ..., determined: _Optional[_Iterable[str]] = ..., bound: _Optional[_Iterable[float]] = ..., advice: _Optional[str] = ..., chosen: _Optional[_Union[Reason, _Mapping]] = ..., combinations: _Optional[_Iterable[_Union[Combination, _Mapping]]] = ..., advised: _Optional[_Union[Advice, _Mapping]] = ..., own_steering: _Optional[_Union[OwnSteering, _Mapping]] = ..., of_place: _Optional[_Union[SoilPlace, _Mapping]] = ...) -> None: ...
 
 class FitOutcome(_message.Message):
-    __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns")
+    __slots__ = ("t_ns", "method", "asked_ns", "adopted", "awaited", "late_ns", "result", "job_sha256")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     METHOD_FIELD_NUMBER: _ClassVar[int]
     ASKED_NS_FIELD_NUMBER: _ClassVar[int]
     ADOPTED_FIELD_NUMBER: _ClassVar[int]
     AWAITED_FIELD_NUMBER: _ClassVar[int]
     LATE_NS_FIELD_NUMBER: _ClassVar[int]
+    RESULT_FIELD_NUMBER: _ClassVar[int]
+    JOB_SHA256_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     method: str
     asked_ns: int
     adopted: bool
     awaited: bool
     late_ns: int
-    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., asked_ns: _Optional[int] = ..., adopted: _Optional[bool] = ..., awaited: _Optional[bool] = ..., late_ns: _Optional[int] = ...) -> None: ...
+    result: str
+    job_sha256: str
+    def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., asked_ns: _Optional[int] = ..., adopted: _Optional[bool] = ..., awaited: _Optional[bool] = ..., late_ns: _Optional[int] = ..., result: _Optional[str] = ..., job_sha256: _Optional[str] = ...) -> None: ...
 
 class Ready(_message.Message):
     __slots__ = ("t_ns", "ready", "text")

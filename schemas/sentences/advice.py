@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
+from tilth.schemas.fields import KMH
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.reasons import Advice, AdviceKind, Combination
 from tilth.schemas.spread import share
@@ -41,7 +42,7 @@ def advice_sentence(advice: Advice | None) -> str:
     if advice is None:
         return ""
     if advice.kind is AdviceKind.TOO_SLOW:
-        return f"nothing can be learned below {advice.speed:g} m/s"
+        return f"nothing can be learned below {advice.speed / KMH:.3g} km/h"
     it = "it" if len(advice.parameters) == 1 else "them"
     parts = [_open(advice)]
     if advice.kind is AdviceKind.NOTHING_HELPS:

@@ -25,7 +25,7 @@ DEGREES: Final = (20.0, 160.0)  # factors near 57.3: degrees and radians were co
 LARGEST: Final = 5.0  # of a logarithm, in words
 
 
-def _measured(n: Sequence[float], k: int, unit: str = "") -> str:
+def measured(n: Sequence[float], k: int, unit: str = "") -> str:
     """The k-th of n, of which the second half are sds."""
     value, sd = n[k], n[k + len(n) // 2]
     if unit == "°":
@@ -53,7 +53,7 @@ def _by_driving(of: Sequence[str], n: Sequence[float]) -> str:
 def _how_far(key: str, number: str, n: Sequence[float]) -> str:
     if number in FOUND:
         words, unit = FOUND[number]
-        return words.format(_measured(n, 0, unit))
+        return words.format(measured(n, 0, unit))
     low, high = interval(math.exp(min(n[0], LARGEST)), min(n[1], LARGEST))
     what = "reading of the wheels' angle" if number == "wheel_gain" else key.partition(" or ")[0]
     return f"{what} {low:.2f} to {high:.2f} times what the file says (95 %)"
@@ -61,7 +61,7 @@ def _how_far(key: str, number: str, n: Sequence[float]) -> str:
 
 def _leans(value: str) -> Words:
     return lambda of, n: (
-        f"{of[1]}: it moves with roll by {_measured(n, 0)} of its height: set roll_corrected = {value} in "
+        f"{of[1]}: it moves with roll by {measured(n, 0)} of its height: set roll_corrected = {value} in "
         "the machine file"
     )
 
@@ -115,7 +115,7 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
         "compare it with what their receivers are set to"
     ),
     Code.YAW_RATE_SMOOTHED: lambda of, n: (
-        f"{of[1]}: its turn rate lags by {_measured(n, 0, 's')} and is not used, and what was learned "
+        f"{of[1]}: its turn rate lags by {measured(n, 0, 's')} and is not used, and what was learned "
         "with it is forgotten: turn its smoothing off"
     ),
     Code.DRIVING_FINDS: _by_driving,
@@ -128,16 +128,16 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
     ),
     Code.RECEIVER_MOVED: _moved(
         lambda of, n: (
-            f"{of[1]} has been moved {_measured(n, 0, 'm')} forward and {_measured(n, 1, 'm')} to the right"
+            f"{of[1]} has been moved {measured(n, 0, 'm')} forward and {measured(n, 1, 'm')} to the right"
         )
     ),
     Code.PAIR_TURNED: _moved(
         lambda of, n: (
-            f"the pair on the {of[1].removeprefix('pair_')} has been turned by {_measured(n, 0, '°')}"
+            f"the pair on the {of[1].removeprefix('pair_')} has been turned by {measured(n, 0, '°')}"
         )
     ),
     Code.WHEEL_SLIPPED: _moved(
-        lambda of, n: f"the wheels' sensor has slipped by {_measured(n, 0, '°')}: {of[0]}"
+        lambda of, n: f"the wheels' sensor has slipped by {measured(n, 0, '°')}: {of[0]}"
     ),
     Code.DRAWBAR_CHANGED: _moved(
         lambda of, n: f"the drawbar is {plus_minus(-n[0], n[len(n) // 2], 'm')} longer: {of[0]}"

@@ -7,6 +7,8 @@ from typing import Final
 
 from tilth.schemas.flow import Event, FlagKind
 from tilth.schemas.notices import Notice, NoticeCode
+from tilth.schemas.sentences import german_notices
+from tilth.schemas.sentences.german import GERMAN
 from tilth.schemas.sentences.reasons import ENGLISH, sentence
 
 Words = str | Callable[..., str]
@@ -283,7 +285,11 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TOO_SLOW: "only {speed_kmh:.1f} km/h, the run is driven at {wanted_kmh:.1f}",
     NoticeCode.WHEELS_NOT_HEARD: "the wheel angle is not heard",
 }
-LANGUAGES: Final[Mapping[str, Mapping[NoticeCode, Words]]] = {ENGLISH: NOTICES}
+LANGUAGES: Final[Mapping[str, Mapping[NoticeCode, Words]]] = {
+    ENGLISH: NOTICES,
+    GERMAN: german_notices.NOTICES,
+}
+OR: Final[Mapping[str, str]] = {ENGLISH: " or ", GERMAN: " oder "}
 
 
 def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
@@ -301,7 +307,7 @@ def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
         listed=f" ({parts}, 95 %)" if parts else "",
         reason=reason,
         ended=reason if reason.endswith((".", "?", "!")) else f"{reason}.",
-        which=" or ".join(notice.reason.of[1:]) if notice.reason is not None else "",
+        which=OR[language].join(notice.reason.of[1:]) if notice.reason is not None else "",
     )
 
 

@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from typing import Final
 
 from tilth.schemas.reasons import Code, Reason
-from tilth.schemas.sentences.diagnosis import DIAGNOSES
+from tilth.schemas.sentences import german
+from tilth.schemas.sentences.diagnosis import DIAGNOSES, Words
+from tilth.schemas.sentences.german import GERMAN
 from tilth.schemas.spread import share
 
 ENGLISH: Final = "en"  # key of the tables of words
@@ -103,9 +105,11 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
-    Code.SOIL_CHANGED_SINCE: "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window of pem",
-    Code.WINDOW_OLD: "{of[0]}: the last window of pem is {n[0]:.0f} s old",
-    Code.NO_WINDOW: "{of[0]}: the last window of pem has not been driven yet",
+    Code.SOIL_CHANGED_SINCE: (
+        "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last piece that was fitted"
+    ),
+    Code.WINDOW_OLD: "{of[0]}: the last piece that was fitted is {n[0]:.0f} s old",
+    Code.NO_WINDOW: "{of[0]}: the piece that is fitted next has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
     Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is of where the rig is",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
@@ -122,7 +126,20 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.SAVED_INCOMPLETE: "a part of it is missing",
     Code.ESTIMATORS_FAILED: ("the estimators failed ({of[0]}: {of[1]}) and start again; frames are logged"),
 }
-LANGUAGES: Final[Mapping[str, Mapping[Code, str]]] = {ENGLISH: SENTENCES}
+METHODS: Final[Mapping[str, Mapping[str, str]]] = {
+    ENGLISH: {
+        "pem": "fits of whole manoeuvres", "tracker": "the running estimate",
+        "steady_state": "steady turns", "rows": "straight rows", "place": "the memory of places",
+    },
+    GERMAN: german.METHODS,
+}  # fmt: skip
+"""What people hear of an estimator: what it learns from."""
+LANGUAGES: Final[Mapping[str, Mapping[Code, str]]] = {ENGLISH: SENTENCES, GERMAN: german.SENTENCES}
+DIAGNOSED: Final[Mapping[str, Mapping[Code, Words]]] = {ENGLISH: DIAGNOSES, GERMAN: german.DIAGNOSES}
+AND: Final[Mapping[str, tuple[str, str, str, str]]] = {
+    ENGLISH: (" and ", "any other", "now", " for {:.0f} s"),
+    GERMAN: (" und ", "jedes andere", "jetzt", " {:.0f} s lang"),
+}
 _NOW: Final = (Code.NOTHING_LEARNED, Code.NOTHING_FITTED, Code.NO_STEADY_TURN_YET)
 """What says why nothing is learned now."""
 
@@ -138,16 +155,18 @@ def sentence(reason: Reason | None, language: str = ENGLISH) -> str:
         return ""
     of = reason.of
     if reason.code in DIAGNOSES:
-        return DIAGNOSES[reason.code](of, reason.numbers)
+        return DIAGNOSED[language][reason.code](of, reason.numbers)
+    join, other, now, lasting = AND[language]
+    of = tuple(METHODS[language].get(name, name) for name in of)
     text = LANGUAGES[language][reason.code].format(
         of=of,
         n=[_Number(number) for number in reason.numbers],
         keys=f" ({', '.join(of)})" if of else "",
-        seconds=f" for {reason.numbers[0]:.0f} s" if reason.numbers else "",
+        seconds=lasting.format(*reason.numbers[:1]) if reason.numbers else "",
         others=", ".join(of[1:]),
-        others_and=" and ".join(of[1:]) or "any other",
+        others_and=join.join(of[1:]) or other,
     )
     because = "; ".join(sentence(one, language) for one in reason.because)
     if not because:
         return text
-    return f"{text} (now: {because})" if reason.code in _NOW else f"{text}: {because}"
+    return f"{text} ({now}: {because})" if reason.code in _NOW else f"{text}: {because}"

@@ -8,7 +8,7 @@ from tilth.schemas.flow import Status
 
 SOFT: Final = 0.9  # of the machine file's stiffness: soft where all of the 95 % is below
 FIRM: Final = 1.1  # firm where all of it is above
-USUAL: Final = (2 / 3, 3 / 2)  # as usual where none of both, and all of it is in here; else not known
+USUAL: Final = (2 / 3, 3 / 2)  # as usual where none of both, and all of it is in here
 
 
 class SoilWord(StrEnum):
@@ -17,6 +17,9 @@ class SoilWord(StrEnum):
     SOFT = "soft"
     USUAL = "as usual"
     FIRM = "firm"
+    SOFT_TO_USUAL = "between soft and usual"
+    USUAL_TO_FIRM = "between usual and firm"
+    ROUGH = "known roughly"  # its 95 % reach from soft to firm
     NOT_KNOWN_YET = "not known yet"
     NOT_KNOWN_NOW = "not known now"  # it was, but has grown old
     WITHDRAWN = "withdrawn"  # something contradicts
@@ -37,8 +40,9 @@ def soil_words(value: float | None, within: float | None, status: int, usual: fl
         return {"word": SoilWord.SOFT, "text": text}
     if low > FIRM:
         return {"word": SoilWord.FIRM, "text": text}
-    inside = USUAL[0] <= low and high <= USUAL[1]
-    return {"word": SoilWord.USUAL if inside else SoilWord.NOT_KNOWN_YET, "text": text}
+    between = {(True, True): SoilWord.USUAL, (True, False): SoilWord.USUAL_TO_FIRM,
+               (False, True): SoilWord.SOFT_TO_USUAL, (False, False): SoilWord.ROUGH}  # fmt: skip
+    return {"word": between[USUAL[0] <= low, high <= USUAL[1]], "text": text}
 
 
 def _percent(ratio: float) -> str:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.rows.study import opened
-from studies.turns.own_noise import of_motion, told_by
 from tilth.analysis.runs.driving import Driven, driving
 from tilth.estimator.filters import likelihood, scoring, unknowns
+from tilth.estimator.filters.contrast import MOTION, ToldOfMotion, told_beside
 from tilth.estimator.filters.likelihood import Search, inverse
 from tilth.estimator.filters.newton import newton_step
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -60,6 +60,17 @@ def fitted(machine: Machine, given: Sequence[Driven]) -> tuple[pem.PemState, lis
     return state, windows
 
 
+def told_by(search: Search, point: Array, *, steered: bool, past: bool) -> ToldOfMotion:
+    """At a point, (n,), with the noise levels there. steered: slopes along the path that the steering alone
+    gives, else along the filter's."""
+    if steered:
+        places = search.active[search.of_motion]
+        return told_beside(search, *likelihood.whitened_by_steering(search, point, places), past)
+    at = likelihood.evaluate(search, point)
+    weights = search.scored / np.sqrt(at.S)
+    return told_beside(search, at.e * weights, (at.de[search.of_motion] * weights).T, past)
+
+
 def step(
     machine: Machine,
     state: pem.PemState,
@@ -72,7 +83,7 @@ def step(
     """(the point after a step of Gauss and Newton, its sds of the six with what is not known of the masses
     and of the model)."""
     mean, sd = unknowns.prior(machine)
-    places = of_motion(windows[0].search)
+    places = np.intersect1d(windows[0].search.active, MOTION)
     roll = np.isin(places, likelihood.ROLL_MODES)
     before, middle = np.diag(sd[places] ** 2), mean[places]
     before[np.ix_(roll, roll)] = state.covariance[np.ix_(places[roll], places[roll])]

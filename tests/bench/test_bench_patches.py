@@ -6,6 +6,12 @@ from typing import Any
 import numpy as np
 import patches
 import pytest
+from circle import demo_machine
+
+from tilth.estimator.models.parameters import rig_of
+from tilth.schemas.flow import PARAMETERS
+from tilth.simulator import ground
+from tilth.simulator.scenario import Soil
 
 
 def test_fields_differ_as_they_are_meant_to() -> None:
@@ -25,7 +31,9 @@ def _made(z: float) -> list[dict[str, Any]]:
         "turn": [k % 300 > 250 for k in range(n)], "pass": [k // 300 for k in range(n)],
         "stretch": [float(k % 300 // 50) for k in range(n)],
     }  # fmt: skip
-    made = [{"row": "patches", "seed": 0, "first": 0, "scale": 8.0, "methods": {"place": told, "pem": told}}]
+    methods = {"place": told, "pem": told, "oracle": {**told, "sd": [[0.2 * z] * 6] * n}}
+    made = [{"row": "patches", "seed": 0, "first": 0, "scale": 8.0, "methods": methods,
+             "ahead": [[0.1 * z, 0.1]] * 5, "changes": [60.0]}]  # fmt: skip
     return json.loads(json.dumps(made))  # type: ignore[no-any-return]
 
 
@@ -38,3 +46,22 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, held: bool) -> 
     assert of_rows.held is held and len(of_rows.values) == 6
     assert any(figure.startswith("place, turns: 95 %") for figure in lines)
     assert lines["recommended, rows"].reached == "no number was given"
+    score = lines["place, rows: mean interval score of C over the oracle's"]
+    assert score.held is held and 1.0 < score.values[0] < 1.6  # the oracle's sds are those of the errors
+    assert lines["soil_change was told, in each field"].reached == "1"
+    assert lines["wet end: intervals hold"].held
+
+
+def test_the_oracle_knows_the_covariance_that_a_field_was_drawn_with() -> None:
+    """Of many fields drawn alike, at two places 15 m apart."""
+    soil = Soil(patch_log_sd=0.2, patch_length=30.0, patch_across=1.5, patch_common=0.6)
+    rng, rig, states = np.random.default_rng(0), rig_of(demo_machine()), np.zeros((2, 13))
+    states[1, :2] = 9.0, 12.0
+    axles = ground.axles_of(rig, states)
+    apart = (axles[:, :, None, None, None, None] - axles[None, None, None, :, :, None]).transpose(
+        6, *range(6)
+    )
+    told = patches.variogram(soil, 100.0).correlation(apart, 0.0)
+    drawn = (ground.field(soil, dict.fromkeys(PARAMETERS, 1.0), rig, rng) for _ in range(2000))
+    logs = [np.log(field.at(0.0, states))[:, :3].ravel() for field in drawn]
+    assert np.cov(np.array(logs).T) == pytest.approx(told, abs=0.004)

@@ -54,7 +54,8 @@ def test_a_mark_in_prose_or_code_begins_no_cell() -> None:
 
 def test_what_a_cell_draws_stands_below_it(tmp_path: Path) -> None:
     source = (
-        "# %%\nimport matplotlib.pyplot as plt\nplt.figure('line').suptitle('A line')\nplt.plot([1, 2])\nprint(1)\n"
+        "# %%\nimport matplotlib.pyplot as plt\nplt.figure('line').suptitle('A line')\n"
+        "plt.plot([1, 2])\nprint(1)\n"
         "# %%\nprint(2)\n"
     )
     cells = cells_of(source)

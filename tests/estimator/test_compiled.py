@@ -4,6 +4,7 @@ A package of kernels is written to disk and run in processes of its own with one
 once to compile, once unchanged, once with all its constants changed.
 """
 
+import cProfile
 import json
 import math
 import os
@@ -288,6 +289,17 @@ def test_the_digest_does_not_depend_on_where_a_function_stands() -> None:
     source = "def f(x):\n    # why\n    return 2.0 * x"
     assert digest(_function(source)) == digest(_function("\n\n" + source.replace("    # why\n", "")))
     assert digest(_function(source)) != digest(_function(source.replace("2.0", "2")))
+
+
+def profiled_half(x: float) -> float:
+    return 0.5 * x
+
+
+def test_the_digest_does_not_depend_on_whether_a_kernel_was_profiled() -> None:
+    """numba clears a flag of the code that it runs for a profiler: all that shares it was compiled anew."""
+    whole = kernel_digest.digest(profiled_half, kernel_digest.readings(profiled_half))
+    cProfile.Profile().runcall(Kernel(profiled_half), 3.0)
+    assert kernel_digest.digest(profiled_half, kernel_digest.readings(profiled_half)) == whole
 
 
 def test_a_loop_has_the_steps_of_its_user() -> None:

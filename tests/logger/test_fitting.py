@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from circle import demo_machine
 from logs import MACHINE_TEXT as PACKAGED
@@ -20,11 +21,12 @@ from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_json_data
-from tilth.logger.fit_worker import in_order
+from tilth.logger.fit_worker import as_text, in_order, job_sha256
 from tilth.logger.fitting import GIVEN_UP, LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.job import OUT_OF_MEMORY
 from tilth.logger.log.mcap_log import LogWriter, RunPart
+from tilth.logger.log.software import software
 from tilth.replay.compare import IDENTICAL, Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
@@ -415,14 +417,14 @@ def test_a_log_of_its_own_is_waited_for_until_the_next_frame() -> None:
     replayed.holds_outcomes = True
     assert replayed.outcome(pem.METHOD, job, 10) is UNDECIDED
     assert replayed.outcome(pem.METHOD, job, 10) is UNDECIDED
-    replayed.add_outcome(pem.METHOD, job.asked_ns, False)
+    replayed.add_outcome(flow.FitOutcome(10, pem.METHOD, job.asked_ns, False))
     assert replayed.outcome(pem.METHOD, job, 10) is None
     assert replayed.outcome(pem.METHOD, job, 20) is UNDECIDED
     assert replayed.outcome(pem.METHOD, job, 21) is not None
-    replayed.add_outcome(pem.METHOD, job.asked_ns, False, True)
+    replayed.add_outcome(flow.FitOutcome(30, pem.METHOD, job.asked_ns, False, True))
     assert replayed.outcome(pem.METHOD, job, 30) is LATE
     assert replayed.outcome(pem.METHOD, job, 99, True) is UNDECIDED
-    replayed.add_outcome(pem.METHOD, job.asked_ns, True)
+    replayed.add_outcome(flow.FitOutcome(99, pem.METHOD, job.asked_ns, True))
     assert replayed.outcome(pem.METHOD, job, 99, True) is not None
 
 
@@ -448,3 +450,46 @@ def test_a_fault_between_asking_and_using_forgets_the_fit() -> None:
     for row in rows:
         assert not [p for p, _ in fold.take(row) if p.topic == FIT_TOPIC]
     assert fold.faults == 1
+
+
+@pytest.fixture(scope="module")
+def fit_of_a_job() -> tuple[pem.Job, pem.Fit]:
+    job = a_job()
+    return job, pem.fit(MACHINE, job)
+
+
+@pytest.mark.parametrize(
+    ("log", "verified", "of_this_job", "used"),
+    [({}, False, True, True), ({}, False, False, False), ({}, True, True, False),
+     ({"estimator": "other"}, False, True, False), ({"libc": "musl 1"}, False, True, False)],
+    ids=["its own", "of another job", "verified", "of other code", "of other arithmetic"],
+)  # fmt: skip
+def test_a_result_of_the_log_is_used_where_it_would_be_the_same(
+    fit_of_a_job: tuple[pem.Job, pem.Fit], log: dict[str, str], verified: bool, of_this_job: bool, used: bool
+) -> None:
+    replayed, (job, fit) = ReplayedFits(MACHINE, lambda kind, told: None), fit_of_a_job
+    replayed.recorded_by(software() | log, verified)
+    text = as_text(replace(fit, iterations=99))
+    key = job_sha256(MACHINE if of_this_job else demo_machine(), job)
+    replayed.ask(pem.METHOD, job)
+    replayed.add_outcome(flow.FitOutcome(9, pem.METHOD, job.asked_ns, True, result=text, job_sha256=key))
+    assert replayed.outcome(pem.METHOD, job, 9).iterations == (99 if used else fit.iterations)
+    assert replayed.ties == 0
+
+
+@pytest.mark.parametrize(
+    ("moved_sd", "changed", "tie", "ties"),
+    [(0.0, False, False, 0), (0.09, False, False, 1), (0.11, False, False, 0), (0.0, True, False, 0),
+     (5.0, True, True, 1), (5.0, False, True, 0)],
+)  # fmt: skip
+def test_elsewhere_a_fit_that_is_as_good_goes_on_from_the_logged_one(
+    fit_of_a_job: tuple[pem.Job, pem.Fit], moved_sd: float, changed: bool, tie: bool, ties: int
+) -> None:
+    replayed, (job, here) = ReplayedFits(MACHINE, lambda kind, told: None), fit_of_a_job
+    sds = np.sqrt(np.diag(here.covariance))
+    there = replace(here, mean=here.mean + moved_sd * sds, changed=changed, tie=tie)
+    replayed.recorded_by(software() | {"libc": "musl 1"}, verified=True)
+    replayed.add_outcome(flow.FitOutcome(9, pem.METHOD, job.asked_ns, True, result=as_text(there)))
+    used = replayed.outcome(pem.METHOD, job, 9)
+    assert as_text(used) == as_text(there if ties else here)
+    assert replayed.ties == ties

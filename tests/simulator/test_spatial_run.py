@@ -32,7 +32,9 @@ from tilth.simulator.scenario import (
     parse_scenario,
 )
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
-from tilth.simulator.tractor import Truth, draw
+from tilth.simulator.spatial.vehicle import Vehicle, static_loads
+from tilth.simulator.spatial_run import vehicle_in
+from tilth.simulator.tractor import Truth, draw, setting_of
 
 TEXT = (ROOT / "deploy" / "machines" / "jd7930-parker500.toml").read_text()
 STEERING = ((2.0, 0.0), (5.0, 5.0), (5.0, -3.0))
@@ -53,6 +55,27 @@ def machine() -> Machine:
 def rough(machine: Machine) -> Truth:
     """Side slope, uneven ground, turns."""
     return drive(machine, 3, 12.0, replace(SPACE, ground=Ground(slope_deg=5.0, rms=0.02)))
+
+
+def test_the_machine_file_describes_the_rig_where_the_scenario_does_not() -> None:
+    text = TEXT.replace(
+        "[tractor]\n", "[tractor]\nfront_axle_mass = 900\nhitch_height = 0.62\npivot_height = 0.7\n"
+    )
+    for axle, track in (("front", 1.8), ("rear", 1.9), ("implement", 2.3)):
+        described = f"[tyres.{axle}]\ntrack = {track}\ndeflection = 0.08\n"
+        text = text.replace(f"[tyres.{axle}]\n", described)
+    described_rig = parse_machine(text)
+
+    def made(machine: Machine, spatial: Spatial) -> Vehicle:
+        return vehicle_in(setting_of(machine, 1, 1.0, replace(SPACE, spatial=spatial)))
+
+    for draws in (False, True):
+        one = made(described_rig, Spatial(draw=draws, hitch_height=0.5))
+        assert (one.beam_mass, one.hitch_height, one.pin_height) == (900.0, 0.5, 0.7)
+        assert one.track == pytest.approx((1.8, 1.9, 2.3))
+        assert np.array(one.stiffness) * 2 * 0.08 == pytest.approx(static_loads(one), rel=0.02)
+    plain = parse_machine(TEXT)
+    assert made(plain, Spatial()).beam_mass == pytest.approx(0.07 * plain.tractor.mass.value)
 
 
 @needs_engine

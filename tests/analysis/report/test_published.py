@@ -20,7 +20,10 @@ def test_recommended_values_with_intervals(facts: Any) -> None:
     assert [cell.text for cell in table.rows[0]] == [
         "C_af, cornering stiffness, front axle", "220 ± 26 kN/rad", "220 (56 … 868) kN/rad", "estimated", "–",
     ]  # fmt: skip
-    assert table.rows[5][1].text == "0.90 ± 0.11 m" and "Rule: pem: the first of pem that" in table.caption
+    assert (
+        table.rows[5][1].text == "0.90 ± 0.11 m"
+        and "Rule: fits of whole manoeuvres: the first of fits of whole manoeuvres that" in table.caption
+    )
 
 
 def test_what_is_not_determined_is_said_with_its_reason(facts: Any) -> None:

@@ -17,7 +17,7 @@ from tilth.estimator import fold
 from tilth.estimator.diagnosis import consistency, findings, open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY, CONTRADICTION, Consistency
 from tilth.estimator.diagnosis.open_numbers import OpenEvidence
-from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods import open_tracker, tracker
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.rig.lifecycle import FaultCase
 from tilth.estimator.rig.numbers import NUMBER
@@ -123,7 +123,7 @@ def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
     state, out = run(demo_machine(), heard)
     assert state.diagnosis.consistency.confirmed and contradictions(out) == []
     assert state.open.tracker.refused[Code.HELD] > 300
-    misfit = open_tracker.misfit(state.open.tracker, demo_machine())
+    misfit = open_tracker.misfit(state.open.tracker, state.estimators[tracker.METHOD], demo_machine())
     assert misfit.by_name.max() < 6.0 and misfit.total < 15.0  # 12 and 30 where it learned all the time
     first, *_, last = (t_ns for t_ns, _ in given(out))
     assert first < heard[0].t_ns + 60e9 and last > heard[-1].t_ns - 2e9
@@ -132,7 +132,7 @@ def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
 def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -> None:
     state, out = run(demo_machine(), frames(LONG))
     assert state.diagnosis.consistency.confirmed and contradictions(out) == []
-    misfit = open_tracker.misfit(state.open.tracker, demo_machine())
+    misfit = open_tracker.misfit(state.open.tracker, state.estimators[tracker.METHOD], demo_machine())
     assert misfit.by_name.max() < 8.0 and misfit.total < 20.0  # else 188 and 371
     assert list(given(out))[-1][0] > frames(LONG)[-1].t_ns - 2e9
 
@@ -142,8 +142,8 @@ def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -
 @pytest.mark.parametrize("name", ["s0", "s5"])
 def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
     """Tractors of 5 and 8 t with carts of 7 and 6 t, that driving doubted to the end: the inertia of either
-    cart comes out at a half or less. C_ar of s0 is 36 % stiff at an sd of 11 %, as on all uneven ground (see
-    docs/estimation_limits.md): so 3.5 sds."""
+    cart comes out at a half or less. C_ar of s0 is 36 % stiff: what its windows show of the model of the
+    ground (filters/contrast.py) makes the sd 19 % of what was 11."""
     machine = parse_machine((STRANGERS / f"{name}.toml").read_text(encoding="utf-8"))
     truth = json.loads((STRANGERS / f"{name}.truth.json").read_text(encoding="utf-8"))
     heard = list(log_frames(STRANGERS / f"{name}.log.gz"))
@@ -153,7 +153,7 @@ def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
     last = [e for _, e in given(out) if e.method == "tracker"][-1]
     for p, parameter in zip(last.parameters, PARAMETERS, strict=True):
         assert p.value is not None and p.sd is not None and p.sd / p.value <= 0.3, (parameter, p.reason)
-        assert abs(math.log(p.value / truth[parameter])) < 3.5 * p.sd / p.value, parameter
+        assert abs(math.log(p.value / truth[parameter])) < 2.5 * p.sd / p.value, parameter
     assert contradictions(out) == []
 
 
@@ -305,7 +305,7 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
     pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
     for _ in range(findings.FINDINGS.parked_poses):
         state.aligner.long_term.parked[kind].add(0.5)
-    evidence = open_tracker.observe(state.open, state.machine, None)
+    evidence = open_tracker.observe(state.open, state.machine, None, state.estimators[tracker.METHOD])
     checks, told = state.diagnosis.consistency, list[str]()
     for _ in range(CONSISTENCY.least_poses):
         assert not told

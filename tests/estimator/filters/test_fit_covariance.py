@@ -97,7 +97,7 @@ def one_more(state: pem.PemState, tight: bool, sd: float, changed: bool = False)
     known = np.linalg.inv(np.linalg.inv(covariance[SIX, SIX] - masses) + sd**-2 * np.eye(6))
     errors = fit_covariance.model_sd_of(turned, mean)
     covariance[SIX, SIX] = known + masses + np.diag(errors**2)
-    made = pem.Fit(mean, covariance, None, 0.0, 0.0, 0.0, 5, 100, changed, None)
+    made = pem.Fit(mean, covariance, None, 0.0, 0.0, 0.0, 5, 100, changed, False, None)
     pem.adopt(state, MACHINE, made, 0)
     return np.asarray(np.sqrt(np.diag(state.covariance)[SIX] - np.diag(masses)))
 

@@ -4,11 +4,17 @@ import math
 
 import numpy as np
 from circle import demo_machine
+from estimation_study import RANDOM
 
+from tilth.estimator import fold
 from tilth.estimator.diagnosis import open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY
 from tilth.estimator.filters import unknowns
-from tilth.estimator.methods import open_tracker
+from tilth.estimator.methods import open_tracker, tracker
+from tilth.estimator.record.record import Segment
+from tilth.estimator.rig.adjustments import Amount
+from tilth.estimator.rig.numbers import changed
+from tilth.simulator.traffic import simulate
 
 
 def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
@@ -19,7 +25,7 @@ def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
     state.covariance[m_i, m_i] = 0.22**2
     for off, doubted in ((-1.6, False), (math.log(0.1), True)):
         state.mean[m_i] = state.prior_mean[m_i] + off
-        now = open_tracker.misfit(state, machine)
+        now = open_tracker.misfit(state, tracker.initial(machine), machine)
         assert (now.by_name.max() > CONSISTENCY.ends * CONSISTENCY.begins) == doubted
     assert not state.by_steering
 
@@ -27,8 +33,31 @@ def test_a_mass_that_only_small_forces_tell_is_no_doubt() -> None:
 def test_open_tracker_starts_at_the_file_with_wide_priors() -> None:
     machine = demo_machine()
     state = open_tracker.initial(machine).tracker
-    now = open_tracker.misfit(state, machine)
+    now = open_tracker.misfit(state, tracker.initial(machine), machine)
     assert now.total == 0.0 and not now.by_name.any()
     assert not now.moves[:, :-1].any()  # the last, of the tractor's mass, needs no driving
     narrow = open_numbers.allowed(machine) < 0.5 * np.array([row.open_sd for row in open_numbers.OPEN])
     assert [name for name, so in zip(open_numbers.NAMES, narrow, strict=True) if not so] == ["m_i", "I_i"]
+
+
+def test_what_an_error_of_the_file_does_is_what_a_tracker_that_believes_it_learns() -> None:
+    """By how much implement.e moves C_ai: two trackers over the same driving, of which one is told 5 cm less.
+    The open tracker's own slope was half of that, and less."""
+    machine, off = demo_machine(), 0.05
+    shorter = changed(machine, {"e": Amount(-off)})
+    state, segments = fold.initial(machine), list[Segment]()
+    for frame in simulate(machine, 2, 20.0, RANDOM):
+        fold.step(state, frame)
+        segments += [one for one in state.segments if one is not None]
+        state.segments.clear()
+    learned = []
+    for file in (machine, shorter):
+        believing = tracker.initial(file)
+        for segment in segments:
+            tracker.take_segment(believing, file, segment)
+        learned.append(believing)
+    moved = learned[0].mean[:6] - learned[1].mean[:6]
+    now = open_tracker.misfit(state.open.tracker, learned[1], shorter)
+    slopes = now.moves[:, open_numbers.NAMES.index("e")] * off
+    np.testing.assert_allclose(slopes[:3], moved[:3], atol=0.25 * np.abs(moved[2]))
+    assert moved[2] < -0.05

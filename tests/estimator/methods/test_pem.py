@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from tilth.estimator.filters import likelihood, scoring, unknowns
+from tilth.estimator.filters.contrast import Contrast
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.scoring import maximise_posterior
 from tilth.estimator.filters.states import DT, START, X_ALPHA, X_PSI, X_R, X_V
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISES, SIX
 from tilth.estimator.fold import initial, step
 from tilth.estimator.methods import pem
+from tilth.estimator.methods.learned import into_pem, of_pem
 from tilth.estimator.models import relaxation
 from tilth.estimator.models.manoeuvres import manoeuvre_named
 from tilth.estimator.models.parameters import TABLE_7_2, Rig, rig_of
@@ -431,3 +433,17 @@ def test_drift_is_not_lost_when_a_fit_is_refused() -> None:
     assert pem.request_fit(state, SECOND) is not None
     pem.adopt(state, MACHINE, None, 2 * SECOND)
     assert np.array_equal(state.covariance, before) and state.distance == 0.0
+
+
+def test_what_the_model_of_the_ground_leaves_widens_what_is_published_and_not_the_next_fit() -> None:
+    state, after, excess = pem.initial(MACHINE), pem.initial(MACHINE), np.linspace(0.0, 0.25, 6)
+    state.covariance[SIX, SIX] = 1e-2 * np.eye(6)
+    state.last = pem.Fit(
+        state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, False, None, Contrast(excess=excess)
+    )
+    state.fits, state.informed_ns = 1, 1
+    published = np.reshape(pem.estimate(state, MACHINE, 2).log_covariance, (6, 6))
+    assert np.diag(published) == pytest.approx(1e-2 + excess**2)
+    into_pem(after, of_pem(state))
+    assert np.diag(after.covariance)[SIX] == pytest.approx(1e-2 + excess**2)
+    assert np.all(after.model_sd <= excess)  # so it does not average out either

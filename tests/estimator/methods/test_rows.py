@@ -49,7 +49,7 @@ def drive(state: RowsState, seconds: float, t_ns: int = START) -> int:
 
 def result(state: RowsState, job: Job, **changed: Any) -> Fit:
     covariance = 0.01 * job.covariance
-    made = Fit(job.mean + 0.1, covariance, 0.9, math.radians(0.5), 110.0, 5, -6.0, False, None)
+    made = Fit(job.mean + 0.1, covariance, 0.9, math.radians(0.5), 110.0, 5, -6.0, False, False, None)
     return replace(made, **changed)
 
 

@@ -13,6 +13,7 @@ from stretches import ACTIVE, SETUP, Array, somewhere
 
 from tilth.estimator import fold
 from tilth.estimator.filters import fit_covariance, soil_change, unknowns
+from tilth.estimator.filters.contrast import Contrast
 from tilth.estimator.filters.measurement_model import predict_measurement
 from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import (
@@ -41,7 +42,7 @@ from tilth.estimator.filters.tracker_kernel import (
 )
 from tilth.estimator.filters.transition import empty_transition
 from tilth.estimator.filters.unknowns import AT, SIX
-from tilth.estimator.methods import tracker
+from tilth.estimator.methods import pem, tracker
 from tilth.estimator.methods.learned import into_tracker, of_tracker
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.record import record_builder
@@ -311,6 +312,20 @@ def test_rough_ground_widens_what_is_said_of_stiffnesses_and_of_nothing_else() -
     wider = np.diag(tracker.reported_covariance(state)) - before
     assert wider[:3] == pytest.approx(0.1**2, rel=0.02)
     assert wider[3:] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_what_the_fits_show_of_the_model_of_the_ground_widens_this_method_too_and_the_next_run() -> None:
+    state, after, excess = tracker.initial(MACHINE), tracker.initial(MACHINE), np.linspace(0.0, 0.25, 6)
+    state.covariance[SIX, SIX] = 1e-4 * np.eye(6)
+    before = np.diag(tracker.reported_covariance(state))
+    job = pem.Job(0, 0, Record(0, np.zeros((0, 8)), np.zeros((0, 6))), state.mean, state.covariance)
+    made = pem.Fit(
+        state.mean, state.covariance, None, 0.0, 0.0, 0.0, 1, 9, False, False, None, Contrast(excess=excess)
+    )
+    tracker.learn(state, job, made)
+    assert np.diag(tracker.reported_covariance(state)) - before == pytest.approx(excess**2, abs=1e-12)
+    into_tracker(after, of_tracker(state))
+    assert np.all(np.sqrt(np.diag(tracker.reported_covariance(after))) >= excess)
 
 
 def test_what_tight_turns_told_stays_as_uncertain_in_the_next_run() -> None:

@@ -226,7 +226,7 @@ def test_if_all_is_determined_the_least_known_is_named_without_a_manoeuvre() -> 
     )
     too_slow = advice.advise(MACHINE, MEAN, np.diag(SD**2), 0.5, {})
     assert too_slow == Advice(AdviceKind.TOO_SLOW, speed=1.5)
-    assert advice_sentence(too_slow) == "nothing can be learned below 1.5 m/s"
+    assert advice_sentence(too_slow) == "nothing can be learned below 5.4 km/h"
     assert advice_sentence(advice.advise(MACHINE, MEAN, np.diag(SD**2), SPEED, everything())).startswith(
         "none of C_af, C_ar, C_ai, sigma_f, sigma_r and sigma_i is determined; 10 s of "
     )

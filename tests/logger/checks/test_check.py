@@ -68,7 +68,7 @@ def test_all_is_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     answer = json.loads(capsys.readouterr().out)
     assert answer["ok"] is True
     whats = [row["what"] for row in answer["checks"]]
-    assert whats[:3] == ["configuration", "loads", "bus can0"]
+    assert whats[:4] == ["configuration", "loads", "yaw inertia", "bus can0"]
     assert {"log folder", "disk", "clock", "zenoh"} <= set(whats)
     assert {row["state"] for row in answer["checks"]} <= {"ok", "note", "warning"}
 
@@ -227,7 +227,7 @@ def test_a_log_or_an_unfinished_draft_is_no_machine_file(tmp_path: Path) -> None
         read_machine(file)
     file = tmp_path / "draft.toml"
     file.write_text(draft(BusSurvey().findings(), []))
-    with pytest.raises(MachineError, match=r'line 4 and \d+ more still marked "FILL IN"'):
+    with pytest.raises(MachineError, match=r'line 9 and \d+ more still marked "FILL IN"'):
         read_machine(file)
     file.write_text("[machine]\nname = # FILL IN: a name\n")
     with pytest.raises(MachineError, match='line 2 still marked "FILL IN"'):

@@ -4,7 +4,7 @@ import pytest
 from logs import MACHINE
 
 from tilth.estimator.pose.receiver_lost import LOST
-from tilth.logger.zenoh.liveness import Sensors
+from tilth.logger.zenoh.liveness import STARTING_NS, Sensors
 from tilth.schemas.flow import Mount, Origin, Position, WheelAngle, YawRate
 from tilth.schemas.states import DeviceState
 
@@ -34,8 +34,12 @@ def test_a_receiver_is_waited_for_alive_and_lost() -> None:
 
 def test_one_that_sends_no_position_has_no_data() -> None:
     sensors = Sensors(MACHINE)
-    sensors.take(YawRate(SECOND, SECOND, FRONT, 127251, None, 0.1, 0.01))
-    assert sensors.receivers(SECOND)[0].state == DeviceState.NO_DATA
+    for t_ns in range(SECOND, 12 * SECOND, SECOND):
+        sensors.take(YawRate(t_ns, t_ns, FRONT, 127251, None, 0.1, 0.01))
+        row = sensors.receivers(t_ns)[0]
+        starting = t_ns - SECOND < STARTING_NS
+        assert row.state == (DeviceState.WAITING if starting else DeviceState.NO_DATA)
+        assert row.HasField("fault_age_s") is not starting  # a start is no fault that is told of ever after
 
 
 def test_others_do_not_count() -> None:

@@ -14,10 +14,11 @@ from tilth.schemas.sentences.soil import FIRM, SOFT, USUAL, soil_words
 @pytest.mark.parametrize(
     ("ratio", "sd", "status", "word"),
     [
-        (0.6, 0.1, 1, "soft"), (0.6, 0.25, 1, "not known yet"), (0.88, 0.001, 1, "soft"),
-        (0.91, 0.001, 1, "as usual"), (1.0, 0.1, 1, "as usual"), (1.0, 0.25, 1, "not known yet"),
+        (0.6, 0.1, 1, "soft"), (0.6, 0.25, 1, "between soft and usual"), (0.88, 0.001, 1, "soft"),
+        (0.91, 0.001, 1, "as usual"), (1.0, 0.1, 1, "as usual"), (1.0, 0.25, 1, "known roughly"),
         (1.09, 0.001, 1, "as usual"), (1.2, 0.01, 1, "firm"), (1.2, 0.1, 1, "as usual"),
-        (2.0, 0.5, 1, "not known yet"), (0.6, 0.1, 0, "not known yet"), (0.6, 0.1, 2, "not known now"),
+        (2.0, 0.5, 1, "between usual and firm"), (0.6, 0.1, 0, "not known yet"),
+        (0.6, 0.1, 2, "not known now"),
         (0.6, 0.1, 3, "withdrawn"), (None, None, 1, "not known yet"),
     ],
 )  # fmt: skip
