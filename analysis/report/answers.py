@@ -98,7 +98,8 @@ def judged(rows: Sequence[TestFacts]) -> list[TestFacts]:
         outcome = "undecided" if math.isnan(p) else "failed" if p < LEVEL else "passed"
         kept.setdefault(row["test"], []).append(outcome)
         if outcome == "failed":
-            failed.append(row | {"outcome": outcome, "p_value": p})
+            now: TestFacts = {**row, "outcome": outcome, "p_value": p}
+            failed.append(now)
     return failed + [_counted(test, outcomes, len(rows)) for test, outcomes in kept.items()]
 
 

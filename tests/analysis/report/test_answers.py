@@ -35,7 +35,7 @@ def test_all_runs_of_a_plan_are_fitted_and_of_other_driving_what_steers_most(
     assert bool(notes) == (len(kept) < 6)
 
 
-def rows_of(p_values: list[float | None]) -> list[dict[str, Any]]:
+def rows_of(p_values: list[float | None]) -> Any:
     return [
         {"output": f"o{k}", "test": "InputTest", "outcome": "failed", "p_value": p, "sentence": "It follows."}
         for k, p in enumerate(p_values)
