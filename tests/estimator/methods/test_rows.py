@@ -123,7 +123,7 @@ def test_rows_alone_have_numbers_with_a_file_that_they_find_right(e_off: float, 
     if given:
         assert best.rule.code is Code.ROWS_ALONE
         added = np.reshape(own.log_covariance, (6, 6)) - rows.published_covariance(rows_state)
-        assert added[2, 2] > 5.0 * added[0, 0] >= 0.0
+        assert added[2, 2] > added[0, 0] >= 0.0
 
 
 @pytest.mark.parametrize("lost", ["dropped", "refused"])
