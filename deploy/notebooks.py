@@ -24,6 +24,7 @@ _FIGURE: Final = "-- a figure of this cell: "
 _DRAWN: Final = """
 if "matplotlib.pyplot" in __import__("sys").modules:
     from matplotlib import pyplot
+    pyplot.rcParams["svg.hashsalt"] = _STEM  # the same figure has the same names in it
     for _figure in map(pyplot.figure, pyplot.get_fignums()):
         _name = f"{_STEM}-{_figure.get_label()}.svg"
         _figure.savefig(f"{_FOLDER}/{_name}", metadata={"Date": None})

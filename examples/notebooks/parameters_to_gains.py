@@ -68,7 +68,7 @@ print(f"slowest pole of 200 draws: {worst:.2f} rad/s" + ("" if worst < 0 else ";
 figure, axes = plt.subplots(figsize=(7, 4), num="poles", layout="constrained")
 figure.suptitle("Poles of the closed loop over what is known of the soil")
 drawn_poles = np.concatenate(all_poles)
-axes.plot(drawn_poles.real, drawn_poles.imag, ".", markersize=2, label="200 draws", rasterized=True)
+axes.plot(np.real(drawn_poles), np.imag(drawn_poles), ".", markersize=2, label="200 draws", rasterized=True)
 for name, made in gains.items():
     poles = np.linalg.eigvals(closed_loop(system(model, learned, SPEED), made.gain))
     axes.plot(poles.real, poles.imag, "x", label=f"the estimate, gains for the {name} soil")
