@@ -37,7 +37,7 @@ WITHOUT_UNIT: Final = frozenset({
     "condition", "rule", "determined", "advice", "bound", "log_covariance", "kind", "text", "adopted",
     "awaited", "ready", "run", "version", "frames", "measurements", "poses", "recording", "log_file",
     "problems", "health", "resting", "preparing", "frame_id", "state", "fault", "position_covariance_type",
-    "per_s", "what", "machine_sha256", "share", "this_pass", "neighbours", "prior",
+    "per_s", "what", "machine_sha256", "share", "this_pass", "neighbours", "prior", "result", "job_sha256",
 })  # fmt: skip
 """Texts, counts, codes, ratios, natural logarithms."""
 SUFFIXES: Final = {
