@@ -128,7 +128,7 @@ def body_motion(place: Array, turn: Array, twist: Array, root: Array, before: fl
     `root`, shape (6,). before: its heading at the last look, rad.
     """
     psi = math.atan2(turn[3], turn[0])
-    psi = before + math.remainder(psi - before, 2.0 * math.pi)
+    psi += 2.0 * math.pi * math.floor((before - psi) / (2.0 * math.pi) + 0.5)  # the turn that is nearest
     pitch, roll = -math.asin(turn[6]), math.atan2(turn[7], turn[8])
     x, y, z = place[0] - root[0], place[1] - root[1], place[2] - root[2]
     north = twist[3] + twist[1] * z - twist[2] * y
