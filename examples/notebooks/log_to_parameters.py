@@ -17,7 +17,7 @@ from tilth.analysis.fit.result import as_json
 from tilth.analysis.runs import segments
 from tilth.analysis.validation.validate import hold_out
 from tilth.cli import main
-from tilth.schemas.spread import of_logarithm
+from tilth.schemas.spread import interval, of_logarithm
 
 folder = Path(tempfile.mkdtemp(prefix="tilth-notebook-"))
 scenario = folder / "two_steps.toml"
@@ -81,8 +81,9 @@ fitted_ones = [*((one["id"], one["parameters"]) for one in answer["runs"]), ("bo
 for k, (label, parameters) in enumerate(fitted_ones):
     rows = [parameters[name] for name in ("C_af", "C_ar", "C_ai")]
     values = np.array([row["value"] or np.nan for row in rows]) / 1e3
-    ratio = np.exp(1.96 * np.array([row["sd"] or np.nan for row in rows]) / 1e3 / values)
-    ends = [values - values / ratio, values * ratio - values]
+    sds = np.array([row["sd"] or np.nan for row in rows]) / 1e3
+    low, high = np.transpose([interval(*one) for one in zip(values, sds / values, strict=True)])
+    ends = [values - low, high - values]
     fits.errorbar(np.arange(3) + 0.1 * (k - 1), values, ends, fmt="o", capsize=3, label=label)
 fits.set(xticks=range(3), xticklabels=("C_af", "C_ar", "C_ai"), ylabel="kN/rad")
 fits.legend(title="step")

@@ -233,9 +233,9 @@ def test_another_estimator_is_one_row(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (first, *_) = ESTIMATORS
-    monkeypatch.setattr(estimators, "ESTIMATORS", (first, replace(first, method="other")))
+    monkeypatch.setattr(estimators, "ESTIMATORS", (*ESTIMATORS, replace(first, method="other")))
     state, out = run(frames(5.0))
-    assert set(state.estimates) == {first.method, "other", fold.RECOMMENDED}
+    assert set(state.estimates) == {*(row.method for row in ESTIMATORS), "other", fold.RECOMMENDED}
     recommended = [p.value for p in out if p.topic == "/soil_tire"]
     firsts = [p.value for p in out if p.topic == f"/soil_tire/{first.method}"]  # of both rows
     assert len(firsts) >= len(recommended) > 0
