@@ -56,6 +56,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/experiment.js", "experiment.js", "text/javascript"),
     ("/calibration.js", "calibration.js", "text/javascript"),
     ("/map.js", "map.js", "text/javascript"),
+    ("/lengths.js", "lengths.js", "text/javascript"),
     ("/over.js", "over.js", "text/javascript"),
     ("/player.js", "player.js", "text/javascript"),
     ("/report.js", "report.js", "text/javascript"),

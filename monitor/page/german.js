@@ -106,6 +106,8 @@ export const GERMAN = {
   "What is wrong with the machine file": "Was an der Maschinendatei falsch ist", "Stages, in any order": "Abschnitte, in beliebiger Folge",
   "Compute now": "Jetzt rechnen", "Finish": "Abschließen",
   "What is left after the estimate (mark: the noise that the machine file states)": "Was nach der Schätzung übrig bleibt (Strich: das Rauschen der Maschinendatei)",
+  "Lengths of the machine file": "Längen der Maschinendatei",
+  "The rig from its right side: lengths between axles, centres of gravity and hitch": "Das Gespann von rechts: Längen zwischen Achsen, Schwerpunkten und Kupplung",
   "Numbers of the machine file": "Zahlen der Maschinendatei", "Number (each ± is 95 %)": "Zahl (jedes ± ist 95 %)",
   "Before → now": "Vorher → jetzt", "Wanted": "Gewünscht", "Is it good?": "Ist es gut?",
   "What the last estimate says": "Was die letzte Schätzung sagt",

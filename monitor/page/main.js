@@ -3,6 +3,7 @@
 import { Calibration } from "./calibration.js";
 import { Experiment } from "./experiment.js";
 import { prepareSwitch, said as inLanguage, t, translatePage, word } from "./language.js";
+import { showLengths } from "./lengths.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
 import { Moved } from "./moved.js";
@@ -55,6 +56,7 @@ function take(message) {
   heardAt = performance.now();
   if (said.rig) {
     map.rig = said.rig;
+    showLengths(said.rig);
     traces.setPriors(said.rig);
   }
   if (said.status || whole) map.receivers = said.status?.receivers;

@@ -413,10 +413,13 @@ def test_german_by_the_language_of_the_browser_and_by_the_switch(
     browser: Browser, stage: tuple[Stage, Monitor]
 ) -> None:
     page, faults = opened(browser, stage[1], "phone", locale="de-DE")
+    rig = {"a": 1.7, "b": 1.2, "c": 2.1, "d": 3.62, "e": 0.1}  # of the machine file
     expect_run(page, "● ZEICHNET AUF", "good")
     expect(page.locator("#ground")).to_contain_text("wie üblich", timeout=SOON_MS)
     expect(page.locator("#advice")).to_contain_text("Reifen hinten", timeout=SOON_MS)
     expect(page.locator("html")).to_have_attribute("lang", "de")
+    page.locator("#lengths-part summary").tap()
+    expect(page.locator("#lengths text")).to_have_text([f"{name} {rig[name]:.2f} m" for name in "abcde"])
     page.locator("#language").tap()
     expect_run(page, "● RECORDING", "good")
     page.reload()
