@@ -59,7 +59,7 @@ def test_units_stand_on_the_axes(all_figures: dict[str, ReportFigure]) -> None:
         }
         for kind in ("drive", "parameters", "response", "intervals")
     }
-    assert {"wheel angle, °", "speed, m/s", "articulation, °", "time, s"} <= labels["drive"]
+    assert {"wheel angle, °", "speed, km/h", "articulation, °", "time, s"} <= labels["drive"]
     assert any("kN/rad" in one for one in labels["parameters"]) and any(
         one.endswith(", m") for one in labels["intervals"]
     )

@@ -105,7 +105,7 @@ def test_every_table_cell_stands_in_the_json_with_its_number(report: DriveReport
     for part in parts_of(report.sections):
         if isinstance(part, ReportTable):
             texts += [one for one in part.columns if one]
-            texts += [cell.text for row in part.rows for cell in row]
+            texts += [cell.text for row in part.rows for cell in row if cell.text]
     assert shown == texts
     known = {round(value, 9) for value in numbers_in(content["data"])}
     for part in parts_of(report.sections):
