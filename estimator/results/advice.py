@@ -162,10 +162,11 @@ def _best(posterior: Array, prior: Array) -> Array | None:
     general = root @ directions[:, 0]
     general = np.round(general / np.abs(general).max(), 1)
     general *= np.sign(general[np.argmax(np.abs(general))])
-    score, k = min((_sd_ratio(w, posterior, prior), k) for k, w in enumerate(pairs))
-    best = _sd_ratio(general, posterior, prior)
+    scores = [_sd_ratio(pair, posterior, prior) for pair in pairs]
+    score, best = min(scores), _sd_ratio(general, posterior, prior)
     if score <= min(ADVICE.supported, ADVICE.pair_preference * best):
-        return pairs[k]
+        # Where soil ties the axles alike, ratios are known alike: the last digit must not choose.
+        return next(pair for pair, one in zip(pairs, scores, strict=True) if one <= score * (1.0 + 1e-6))
     return np.asarray(general) if best <= ADVICE.supported else None
 
 
