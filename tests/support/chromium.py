@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
 CHROMIUM = Path(os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell"))
-SOON_MS = 60_000  # a busy computer takes its time; a quiet one does not wait
+SOON_MS = 180_000  # a busy computer takes its time; a quiet one does not wait
 with_browser = pytest.mark.skipif(
     not CHROMIUM.exists(), reason=f"no browser at {CHROMIUM}; set TILTH_CHROMIUM"
 )
