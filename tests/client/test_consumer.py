@@ -43,8 +43,8 @@ def in_cpp() -> Path:
     if missing := [tool for tool in ("cmake", "c++", "protoc", "cargo") if shutil.which(tool) is None]:
         pytest.skip(f"no {missing[0]} here: it builds the example")
     kept = os.environ.get("CARGO_TARGET_DIR") or str(FOLDER / "target")
-    folder = Path(kept) / "consumer-cpp"
-    build(["cmake", "-S", str(IN_CPP), "-B", str(folder)], ROOT)
+    folder = Path(kept) / "consumer-cpp"  # perhaps of another checkout: --fresh
+    build(["cmake", "--fresh", "-S", str(IN_CPP), "-B", str(folder)], ROOT)
     build(["cmake", "--build", str(folder)], ROOT)
     return folder / "tilth_consumer"
 
