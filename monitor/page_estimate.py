@@ -4,8 +4,8 @@ Whatever the page shows as ± or as a range is 95 %, by schemas.spread. Messages
 """
 
 import math
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.reasons import AdviceKind
@@ -43,7 +43,7 @@ def page_estimate(estimate: Fields, rig: Fields | None) -> Fields:
         ],
         "place": _of_place(estimate.get("of_place")),
         "advised": "" if invalid else advised(estimate.get("advised")),
-        "advised_de": "" if invalid else advised_in_german(estimate.get("advised")),
+        "advised_de": "" if invalid else advised(estimate.get("advised"), IN_GERMAN),
         "withdrawn": withdrawn(statuses, reasons),
         "withdrawn_de": withdrawn(
             statuses, in_german, "Werte zurückgezogen", "der Rekorder sagt nicht warum"
@@ -95,60 +95,66 @@ def priors(rig: Fields) -> Fields:
     return rig | {"priors": [one | {"within": short(WITHIN * one["log_sd"])} for one in rig["priors"]]}
 
 
-def advised(advice: Fields | None) -> str:
+class AdviceWords(NamedTuple):
+    """What is advised, in a language; {tyres} stands for the groups that something tells of."""
+
+    too_slow: str
+    not_at_this_speed: str
+    turn_alone: str  # nothing else helps, but the next headland turn does
+    nothing: str
+    manoeuvre: str
+    turn_too: str
+    driven: Mapping[str, str]  # manoeuvre -> instruction
+    groups: Mapping[str, str]  # of GROUPS
+    joined: str
+
+
+IN_ENGLISH: Final = AdviceWords(
+    too_slow="Drive faster than {kmh:.1f} km/h: below, nothing can be learned.",
+    not_at_this_speed="At this speed there is no gentle steering that would tell more.",
+    turn_alone="Drive on: the next headland turn tells more of the {tyres} tyres.",
+    nothing="Drive on: no steering at this speed would tell much more.",
+    manoeuvre="Where there is room, {driven}: it would tell more of the {tyres} tyres.",
+    turn_too=" The next headland turn tells more of the {tyres} tyres by itself.",
+    driven={name: one.driven for name, one in MANOEUVRES.items()},
+    groups={group: group for group in GROUPS},
+    joined="and",
+)
+IN_GERMAN: Final = AdviceWords(
+    too_slow="Schneller als {kmh:.1f} km/h fahren: darunter ist nichts zu lernen.",
+    not_at_this_speed="Bei dieser Geschwindigkeit sagt kein sanftes Lenken mehr.",
+    turn_alone="Weiterfahren: die nächste Wende sagt mehr über die Reifen {tyres}.",
+    nothing="Weiterfahren: bei dieser Geschwindigkeit sagt kein Lenken viel mehr.",
+    manoeuvre="Wo Platz ist: {driven}. Das sagt mehr über die Reifen {tyres}.",
+    turn_too=" Die nächste Wende sagt mehr über die Reifen {tyres}.",
+    driven=german.DRIVEN,
+    groups={"front": "vorn", "rear": "hinten", "implement": "am Gerät"},
+    joined="und",
+)
+
+
+def advised(advice: Fields | None, words: AdviceWords = IN_ENGLISH) -> str:
     """An estimate's advice (tilth.Advice) as a sentence for a driver; "" where there is none to give."""
     advice = advice or {"kind": ""}
     turn = advice.get("turn_tells", "")
+    of_turn = _tyres(words, turn) if turn else ""
     match advice["kind"]:
         case AdviceKind.TOO_SLOW:
-            return f"Drive faster than {3.6 * advice['speed']:.1f} km/h: below, nothing can be learned."
+            return words.too_slow.format(kmh=3.6 * advice["speed"])
         case AdviceKind.NOT_AT_THIS_SPEED:
-            return "At this speed there is no gentle steering that would tell more."
+            return words.not_at_this_speed
         case AdviceKind.NOTHING_HELPS:
-            if turn:
-                return f"Drive on: the next headland turn tells more of the {_tyres(turn)}."
-            return "Drive on: no steering at this speed would tell much more."
-    if advice.get("manoeuvre") not in MANOEUVRES:
+            return words.turn_alone.format(tyres=of_turn) if turn else words.nothing
+    if advice.get("manoeuvre") not in words.driven:
         return ""
-    seconds, degrees = advice["seconds"], advice["degrees"]
-    what = MANOEUVRES[advice["manoeuvre"]].driven.format(seconds=seconds, degrees=degrees)
-    told = f"Where there is room, {what}: it would tell more of the {_tyres(*advice['parameters'])}."
-    if turn:
-        told += f" The next headland turn tells more of the {_tyres(turn)} by itself."
-    return told
+    driven = words.driven[advice["manoeuvre"]].format(seconds=advice["seconds"], degrees=advice["degrees"])
+    told = words.manoeuvre.format(driven=driven, tyres=_tyres(words, *advice["parameters"]))
+    return told + (words.turn_too.format(tyres=of_turn) if turn else "")
 
 
-def advised_in_german(advice: Fields | None) -> str:
-    """The same in German."""
-    advice = advice or {"kind": ""}
-    turn = advice.get("turn_tells", "")
-    match advice["kind"]:
-        case AdviceKind.TOO_SLOW:
-            return f"Schneller als {3.6 * advice['speed']:.1f} km/h fahren: darunter ist nichts zu lernen."
-        case AdviceKind.NOT_AT_THIS_SPEED:
-            return "Bei dieser Geschwindigkeit sagt kein sanftes Lenken mehr."
-        case AdviceKind.NOTHING_HELPS:
-            if turn:
-                return f"Weiterfahren: die nächste Wende sagt mehr über die Reifen {_german_tyres(turn)}."
-            return "Weiterfahren: bei dieser Geschwindigkeit sagt kein Lenken viel mehr."
-    if advice.get("manoeuvre") not in german.DRIVEN:
-        return ""
-    what = german.DRIVEN[advice["manoeuvre"]].format(seconds=advice["seconds"], degrees=advice["degrees"])
-    told = f"Wo Platz ist: {what}. Das sagt mehr über die Reifen {_german_tyres(*advice['parameters'])}."
-    return told + (f" Die nächste Wende sagt mehr über die Reifen {_german_tyres(turn)}." if turn else "")
-
-
-def _groups(names: Sequence[str]) -> list[str]:
-    return [GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in names]
-
-
-def _tyres(*names: str) -> str:
-    return f"{_and(_groups(names))} tyres"
-
-
-def _german_tyres(*names: str) -> str:
-    where = {"front": "vorn", "rear": "hinten", "implement": "am Gerät"}
-    return _and([where[group] for group in _groups(names)], "und")
+def _tyres(words: AdviceWords, *names: str) -> str:
+    groups = (GROUPS[PARAMETERS.index(name) % len(GROUPS)] for name in names)
+    return _and([words.groups[group] for group in groups], words.joined)
 
 
 def withdrawn(

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.free_noise import gradient_and_information, regress
 from tilth.estimator.filters.likelihood import ROLL_MODES, Iterate, Search, inverse, whitened_by_steering
-from tilth.estimator.filters.row_fit import OUTPUTS, ROW_FIT, epochs_of, order_at
+from tilth.estimator.filters.row_fit import OUTPUTS, ROW_FIT, epochs_of, order_at, output_of, positions_of
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NAMES, NOISES
-from tilth.estimator.record.record import EAST, KIND, NORTH, OFFSET, PLACE, PSI, TICK, Record, U
+from tilth.estimator.record.record import OFFSET, PLACE, PSI, TICK, Record, U
 from tilth.estimator.state_json import Shape
 
 Array = NDArray[np.float64]
@@ -118,8 +118,7 @@ def across_bodies(record: Record, columns: Array) -> Array:
     """Of columns, (m, k), of whitened innovations: those of positions along and across their bodies, in place
     of north and east. A rotation leaves white what is white."""
     rows = record.rows
-    parts = (np.flatnonzero(rows[:, KIND] == kind) for kind in (NORTH, EAST))
-    north, east = (at[np.lexsort((rows[at, PLACE], rows[at, OFFSET], rows[at, TICK]))] for at in parts)
+    north, east = positions_of(rows)
     psi = record.ticks[rows[east, TICK].astype(np.int64), PSI + (rows[east, PLACE] >= 2)][:, None]
     turned = columns.copy()
     turned[north] = np.cos(psi) * columns[north] + np.sin(psi) * columns[east]
@@ -133,9 +132,7 @@ def in_epochs(search: Search, columns: Array) -> tuple[Array, Array]:
     rows, scored = search.record.rows, search.scored > 0.0
     epoch = epochs_of(rows[:, TICK] * DT + rows[:, OFFSET])
     epoch -= epoch[scored].min(initial=epoch.max())
-    output = np.full(len(rows), -1)
-    for k, (kind, places) in enumerate(OUTPUTS):
-        output[(rows[:, KIND] == kind) & np.isin(rows[:, PLACE], places)] = k
+    output = output_of(rows)
     slots, counted = epoch * len(OUTPUTS) + output, (output >= 0) & scored
     rows_in = np.bincount(slots[counted], minlength=(int(epoch.max()) + 1) * len(OUTPUTS))
     present = np.mean(rows_in.reshape(-1, len(OUTPUTS)) > 0, axis=0) > ROW_FIT.present

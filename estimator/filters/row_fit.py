@@ -117,15 +117,28 @@ class RowPoint:
     slopes: list[Array] = field(default_factory=list)
 
 
+def positions_of(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which rows are positions: to the north, to the east; (p,) each, those of one position side by side."""
+    parts = (np.flatnonzero(rows[:, KIND] == kind) for kind in (NORTH, EAST))
+    north, east = (at[np.lexsort((rows[at, PLACE], rows[at, OFFSET], rows[at, TICK]))] for at in parts)
+    return north, east
+
+
+def output_of(rows: Array) -> NDArray[np.int64]:
+    """Which of OUTPUTS each row is of, (m,); -1: of none."""
+    output = np.full(len(rows), -1)
+    for k, (kind, places) in enumerate(OUTPUTS):
+        output[(rows[:, KIND] == kind) & np.isin(rows[:, PLACE], places)] = k
+    return output
+
+
 def along_north(record: Record) -> Record:
     """The record with its row along north and its first position as the origin."""
     ticks, rows = record.ticks.copy(), record.rows.copy()
     psi = float(np.median(ticks[:, PSI]))
     ticks[:, PSI : PSI + 2] -= psi
     rows[rows[:, KIND] == HEADING, VALUE] -= psi
-    north, east = (np.flatnonzero(rows[:, KIND] == kind) for kind in (NORTH, EAST))
-    order = [np.lexsort((rows[at, PLACE], rows[at, OFFSET], rows[at, TICK])) for at in (north, east)]
-    north, east = north[order[0]], east[order[1]]
+    north, east = positions_of(rows)
     across, along = (rows[at, VALUE] - rows[at[0], VALUE] for at in (east, north))
     rows[north, VALUE] = np.cos(psi) * along + np.sin(psi) * across
     rows[east, VALUE] = np.cos(psi) * across - np.sin(psi) * along
@@ -177,10 +190,7 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
     set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, gains)
     instants = rows[:, TICK] * DT + rows[:, OFFSET]
     epoch = epochs_of(instants)
-    first, count = int(epoch.min()), int(np.ptp(epoch)) + 1
-    output = np.full(m, -1)
-    for k, (kind, places) in enumerate(OUTPUTS):
-        output[(rows[:, KIND] == kind) & np.isin(rows[:, PLACE], places)] = k
+    first, count, output = int(epoch.min()), int(np.ptp(epoch)) + 1, output_of(rows)
     slots = np.where((output >= 0) & (used > 0.0), (epoch - first) * len(OUTPUTS) + output, -1)
     chosen = slots >= 0
     counts = np.bincount(slots[chosen], minlength=count * len(OUTPUTS))

@@ -94,9 +94,8 @@ class Posterior:
     outliers: int
     whiteness: float  # autocorrelation of the normalised innovations at lag one, mean over the kinds
     converged: bool
-    contrast: Contrast | None = (
-        None  # with the estimate that needs no model of the ground, where it is asked for
-    )
+    contrast: Contrast | None = None
+    """With the estimate that needs no model of the ground, where it is asked for."""
 
 
 def maximise_posterior(

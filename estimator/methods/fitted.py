@@ -42,9 +42,7 @@ class Fit(Protocol):
     @property
     def changed(self) -> bool: ...  # whether its data contradict what was known
     @property
-    def tie(
-        self,
-    ) -> bool: ...  # whether another kind of computer may decide otherwise
+    def tie(self) -> bool: ...  # whether another kind of computer may decide otherwise
     @property
     def refused(self) -> Code | None: ...  # why it must not be used
     @property
