@@ -211,7 +211,7 @@ class _Page:
         try:
             self._address = (self._job.next() or b"").decode().strip()
         except JobEnded:
-            _say(f"there is no page: `{command('monitor')}` says why")
+            _say("there is no page; the drive goes on")
             return
         _say(f"watch it at {self._address}")
         _say("there: the field from above, the five sensors, and what is learned of soil and tyres")
