@@ -260,7 +260,7 @@ def _by_driving(state: Consistency, evidence: OpenEvidence) -> list[Diagnosis]:
         return []
     if decided:  # it keeps its key for as long as it lasts
         return decided
-    if state.fit is not None and _is_near(state.fit, CONSISTENCY.ends):  # which is rarely lost
+    if _agreeing(state) is not None:
         return []
     order = np.argsort(-misfit.by_name)
     names = [NAMES[k] for k in order if misfit.by_name[k] >= CONSISTENCY.rival_share * best]
@@ -273,6 +273,12 @@ def _by_driving(state: Consistency, evidence: OpenEvidence) -> list[Diagnosis]:
 def _fits(evidence: OpenEvidence, share: float) -> bool:
     """Whether what the open tracker finds is within a share of the limits."""
     return _is_near(evidence.misfit, share)
+
+
+def _agreeing(state: Consistency) -> Misfit | None:
+    """What fits of whole windows find, if it is that the file is right: they are rarely lost, a tracker is,
+    in fast chirps."""
+    return state.fit if state.fit is not None and _is_near(state.fit, CONSISTENCY.ends) else None
 
 
 def _is_near(misfit: Misfit, share: float) -> bool:
@@ -337,6 +343,9 @@ def _restart_open(state: Consistency, directive: Directive, evidence: OpenEviden
 
 def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     """What the file may still be wrong by. A confirmation is withdrawn after a long doubt."""
+    agreeing = _agreeing(state)
+    if agreeing is not None and not _fits(evidence, CONSISTENCY.ends):
+        evidence = replace(evidence, misfit=agreeing)  # that tracker has lost its way
     state.agrees.look(_fits(evidence, CONSISTENCY.ends))
     decided = _sensors_known(state)
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
