@@ -113,7 +113,7 @@ def _stated(machine: Machine) -> Array:
 @once_for_a_machine
 def allowed(machine: Machine) -> Array:
     """Sd by which a right file may differ from the result, [n] in the order of OPEN."""
-    out = np.hypot(_stated(machine), _ALLOWED)
+    out: Array = np.hypot(_stated(machine), _ALLOWED)
     for k, row in enumerate(OPEN):
         if row.cg_of:
             length = 1.0 if row.value is None else row.value(machine)
