@@ -349,7 +349,10 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     state.agrees.look(_fits(evidence, CONSISTENCY.ends))
     decided = _sensors_known(state)
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
-    if not decided or evidence.learned < least:  # what was known before holds
+    learned = evidence.learned >= least
+    if not learned and state.fit is not None and (evidence.rough or not state.judged):
+        evidence, learned = replace(evidence, misfit=state.fit), True  # on rough ground it may never have
+    if not decided or not learned:  # what was known before holds
         keys = () if decided else ("turn rates and rolls",)
         seconds = max((least - evidence.learned) * SEGMENT_S, 0.0 if decided else WIDENING.shortest_s)
         state.missing = Reason(Code.NOT_CONFIRMED, keys, (seconds,))
