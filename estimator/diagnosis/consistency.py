@@ -359,6 +359,8 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
         return
     state.judged = True
     state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else (), state.fit)
+    if evidence.learned < least:
+        return
     if state.confirmed:
         state.confirmed = state.agrees.absent < CONSISTENCY.poses_to_doubt
     else:
