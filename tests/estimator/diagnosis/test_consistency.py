@@ -369,4 +369,4 @@ def test_where_it_may_have_diverged_what_the_open_tracker_finds_accuses_no_file(
         accused += [kind for kind, _ in done.events]
         poses = 0 if done.reset_open else poses
     assert accused == ([CONTRADICTION] if accuses else [])
-    assert not checks.confirmed
+    assert checks.confirmed == (fit < CONSISTENCY.ends * CONSISTENCY.begins_total)
