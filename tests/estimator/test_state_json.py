@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tilth.estimator.diagnosis import open_numbers
+from tilth.estimator.diagnosis.consistency import Consistency
 from tilth.estimator.state_json import LONGEST_LIST, from_json_data, to_json_data
 
 
@@ -61,3 +63,18 @@ def test_a_spoilt_array_is_refused(spoilt: dict[str, object]) -> None:
     data = to_json_data(Thing(np.zeros(20)))
     with pytest.raises(ValueError):
         from_json_data(Thing, {**data, "array": {**data["array"], **spoilt}})
+
+
+def test_a_named_tuple_is_read_back_as_one() -> None:
+    """What fits find of a file is one: as a list it ended the fold that took it up again."""
+    n = len(open_numbers.NAMES)
+    found = open_numbers.Misfit(
+        1.5, np.arange(n) / 7, np.ones(n), np.ones(n + 1), np.ones(n + 1), np.ones((6, n + 1))
+    )
+    again = from_json_data(Consistency, json.loads(json.dumps(to_json_data(Consistency(fit=found))))).fit
+    assert isinstance(again, open_numbers.Misfit) and again.total == 1.5
+    assert all(np.array_equal(one, other) for one, other in zip(again[1:], found[1:], strict=True))
+    assert again.by_name.shape == (n,)
+    for data in ([1.5], "abcdef", {"total": 1.5}):
+        with pytest.raises(ValueError, match="fit"):
+            from_json_data(Consistency, to_json_data(Consistency()) | {"fit": data})
