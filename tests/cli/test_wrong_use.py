@@ -22,7 +22,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["run", "MACHINE", "--seconds", "nan"], "--seconds: nan: give a number above zero"),
     (["run", "FOLDER"], "is a directory); give the path of one that exists"),
     (["run", "FOREIGN"], "not a TOML file"),
-    (["run", "OTHER"], "title: no such key. Allowed here: machine, tractor"),
+    (["run", "OTHER"], "title: no such key. Allowed here: machine, implements, tractor"),
     (["check", "none.toml"], "none.toml: the machine file cannot be read"),
     (["logs", "none"], "none: no such folder; name the one that the logs are in"),
     (["logs", "FOLDER", "--keep", "x"], "no run is in it; name the folder that the logs are in"),
