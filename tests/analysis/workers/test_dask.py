@@ -19,7 +19,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from tilth.analysis.sensitivity import run_batches
-from tilth.analysis.sensitivity.dask_batches import (
+from tilth.analysis.sensitivity.designs import DISSERTATION, Uniform
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, run
+from tilth.analysis.workers.dask import (
     Certificates,
     DaskProblem,
     caution,
@@ -27,8 +29,7 @@ from tilth.analysis.sensitivity.dask_batches import (
     on_dask,
     versions,
 )
-from tilth.analysis.sensitivity.designs import DISSERTATION, Uniform
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, here, run
+from tilth.analysis.workers.parts import here
 from tilth.deploy.certificates import new_authority
 from tilth.estimator.models.parameters import TABLE_7_2
 
@@ -176,7 +177,7 @@ def test_with_certificates_and_only_with_those_of_the_authority(
         cluster.work(1)
         assert cluster.address.startswith("tls://127.0.0.1:") and caution(cluster.address) == ""
         found, _ = run(PLAN, tmp_path / "dask", on_dask(cluster.address, mine))
-        monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 3.0)
+        monkeypatch.setattr("tilth.analysis.workers.dask.ANSWER_S", 3.0)
         with pytest.raises(DaskProblem, match="do its certificates and these have one authority"):
             run(PLAN, tmp_path / "stranger", on_dask(cluster.address, stranger))
         with pytest.raises(DaskProblem, match=r"tls://host:8786 needs --dask-tls"):
@@ -210,7 +211,7 @@ def test_what_is_open_is_said(address: str, said: bool) -> None:
 
 
 def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 0.5)
+    monkeypatch.setattr("tilth.analysis.workers.dask.ANSWER_S", 0.5)
     with pytest.raises(DaskProblem, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         run(PLAN, tmp_path, on_dask("tcp://127.0.0.1:1"))
 
@@ -224,7 +225,7 @@ def test_what_is_no_address(address: str, tmp_path: Path) -> None:
 def test_a_scheduler_without_workers(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 6.0)
+    monkeypatch.setattr("tilth.analysis.workers.dask.ANSWER_S", 6.0)
     with pytest.raises(DaskProblem, match="has no worker"):
         run(PLAN, tmp_path, on_dask(cluster.address))
 
