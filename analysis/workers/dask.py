@@ -172,9 +172,7 @@ class _Asked:
 
     def ask(self, item: Any) -> None:
         answering = [worker for worker in self._client.nthreads() if worker not in self._silent]
-        future = self._client.submit(
-            self._part, item, pure=False, retries=TRIES, workers=answering or None
-        )
+        future = self._client.submit(self._part, item, pure=False, retries=TRIES, workers=answering or None)
         self.asked[future] = (item, time.monotonic())
 
     def ask_another(self, future: Any, item: Any) -> None:
