@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.kept import packed
+from tilth.estimator.filters.soil_field import SoilWindow
 from tilth.estimator.fold import RECOMMENDED, State
 from tilth.estimator.methods import place
 from tilth.estimator.methods.place import PlaceState
@@ -133,7 +134,7 @@ class _Heard:
     before, and no second of driving is told of twice, as in the memory by place."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple[place.SoilWindow | None, Stretch]] = []
+        self._kept: list[tuple[SoilWindow | None, Stretch]] = []
 
     @property
     def stretches(self) -> list[Stretch]:
@@ -156,7 +157,7 @@ class _Heard:
         self._kept.append((window, self._stretch(memory, method, records, window, made)))
 
     @property
-    def _windows(self) -> list[place.SoilWindow]:
+    def _windows(self) -> list[SoilWindow]:
         return [window for window, _ in self._kept if window is not None]
 
     def _forget_reset(self, memory: PlaceState) -> None:
@@ -171,7 +172,7 @@ class _Heard:
         memory: PlaceState,
         method: str,
         records: Sequence[Record],
-        window: place.SoilWindow | None,
+        window: SoilWindow | None,
         made: Any,
     ) -> Stretch:
         ticks = np.concatenate([record.ticks for record in records])

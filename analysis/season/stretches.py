@@ -18,6 +18,7 @@ from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.results.reporting import is_supported
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine_difference import differing
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import sentence
@@ -140,17 +141,14 @@ def _tell_one_name(runs: Sequence[DrivenRun]) -> None:
         of_time = [one for one in same if one.begins_ns]
         for before, one in itertools.pairwise(of_time):
             if one.begins_ns < before.ends_ns and not one.found.failure:
-                one.apart = one.apart or (
-                    f"it was driven while {before.run.name} was: two machines have the name {name}; give "
-                    "each its own"
-                )
-                one.look.append(one.apart)
+                twin = f"it was driven while {before.run.name} was: two machines have the name {name}"
+                one.apart = one.apart or twin
+                one.look.append(f"{twin}; give each its own")
         for before, one in itertools.pairwise(same):
-            if before.rig != one.rig and before.rig is not None and one.rig is not None:
+            if before.rig != one.rig and before.machine is not None and one.machine is not None:
                 one.look.append(
-                    f"its machine file describes other lengths, masses or tyres than that of "
-                    f"{before.run.name}, under the same name {name} (implement now {one.rig.implement}, "
-                    f"before {before.rig.implement}); they are kept apart"
+                    f"{before.run.name} has the same name {name}, and its machine file differs in "
+                    f"{differing(before.machine, one.machine)}; the two are kept apart"
                 )
 
 
@@ -192,7 +190,7 @@ def _put_together(runs: Sequence[DrivenRun]) -> dict[tuple[int, int], MergedStre
             seasons.setdefault(at if one.apart else one.rig, []).append(at)
     known: dict[tuple[int, int], MergedStretch] = {}
     for members in seasons.values():
-        places, stretches, pauses = [], [], []
+        places, stretches, pauses = list[tuple[int, int]](), list[Stretch](), list[float]()
         ended_ns = 0
         for at in members:
             for k, stretch in enumerate(runs[at].found.stretches):

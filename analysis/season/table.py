@@ -74,7 +74,7 @@ def _said(k: int) -> tuple[Column, ...]:
     return (
         Column(name, NUMBER, unit, "by the whole season; empty without a number", lambda r: number(r, False)),
         Column(f"{name}_sd", NUMBER, unit, "its standard deviation", lambda r: number(r, True)),
-        Column(f"{name}_status", TEXT, "", "", lambda r: r.known and str(r.known.statuses[k])),
+        Column(f"{name}_status", TEXT, "", "", lambda r: r.known and r.known.statuses[k].name.lower()),
         Column(f"{name}_reason", TEXT, "", "why it has none", lambda r: r.known and r.known.reasons[k]),
         Column(
             f"{name}_informed", NUMBER, "1", "share of the prior's variance that this stretch alone removes",
@@ -94,9 +94,9 @@ def _unit(name: str) -> str:
 
 
 _WAYS: Final[dict[str, tuple[str, Callable[[SeasonRow], SixKnown | None]]]] = {
-    "alone": ("by machine file and stretch alone", lambda row: row.merged and row.merged.alone),
-    "forward": ("by all up to the stretch", lambda row: row.merged and row.merged.forward),
-    "season": ("by the whole season, smoothed", lambda row: row.merged and row.merged.smoothed),
+    "alone": ("by machine file and stretch alone", lambda row: row.merged.alone if row.merged else None),
+    "forward": ("by all up to the stretch", lambda row: row.merged.forward if row.merged else None),
+    "season": ("by the whole season, smoothed", lambda row: row.merged.smoothed if row.merged else None),
 }
 COLUMNS: Final[tuple[Column, ...]] = (
     Column("kind", TEXT, "", "stretch; or run or file that gave none", lambda row: row.kind),
@@ -140,7 +140,8 @@ COLUMNS: Final[tuple[Column, ...]] = (
     Column("changed", TRUTH, "", "it contradicted what was known", _of_stretch(lambda one: one.changed)),
     Column("together", TRUTH, "", "it is put together with other runs",
            _of_run(lambda one: not one.apart)),
-    Column("status", TEXT, "", "estimated where one of the six has a number", lambda row: str(row.status)),
+    Column("status", TEXT, "", "estimated where one of the six has a number",
+           lambda row: row.status.name.lower()),
     Column("reason", TEXT, "", "", lambda row: row.reason),
     Column("logs_sha256", TEXT, "", "of the run's logs, in order",
            _of_run(lambda one: " ".join(file.sha256 for file in one.run.files))),
