@@ -124,7 +124,7 @@ def _task(run: SeasonRun, inventory: Inventory) -> RunTask:
     text, dbc = inventory.machines.get(run.machine, ("", None))
     shas = [file.sha256 for file in run.files]
     key = key_of("run", FORM, software()["estimator"], run.machine, *shas)
-    paths = tuple(Path(file.read_at or file.path) for file in run.files)
+    paths = tuple(Path(file.read_at or file.path).absolute() for file in run.files)  # workers are elsewhere
     return RunTask(key, paths, text, dbc)
 
 

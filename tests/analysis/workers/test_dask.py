@@ -17,7 +17,9 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from logs import some_frames, write_mcap
 
+from tilth.analysis.season.season import TABLE, season
 from tilth.analysis.sensitivity import run_batches
 from tilth.analysis.sensitivity.designs import DISSERTATION, Uniform
 from tilth.analysis.sensitivity.run_batches import GlobalPlan, run
@@ -241,3 +243,26 @@ def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(DaskProblem, match=r"pip install 'tilth\[dask\]'|uv sync .*dask"):
         run(PLAN, tmp_path, on_dask("tcp://127.0.0.1:1"))
+
+
+def test_a_season_gives_the_same_table_as_processes_though_a_worker_dies_and_one_hangs(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyarrow")
+    for k in range(8):
+        write_mcap(tmp_path / f"day{k}.mcap", some_frames(800 + k), run=f"r{k}")
+    logs = sorted(tmp_path.glob("*.mcap"))
+    cluster.work(4)
+
+    def trouble(what: str, done: float, of: float) -> None:
+        if what == "identifying" and 0 < done < of and cluster.workers[0].poll() is None:
+            cluster.workers[0].kill()
+            cluster.workers[1].send_signal(signal.SIGSTOP)
+
+    try:
+        out = tmp_path / "dask"
+        season(logs, out, lambda longest_s: on_dask(cluster.address, hung_s=5.0), progress=trouble)
+    finally:
+        cluster.workers[1].send_signal(signal.SIGCONT)
+    season(logs, tmp_path / "here", lambda longest_s: here(2))
+    assert (out / TABLE).read_bytes() == (tmp_path / "here" / TABLE).read_bytes()
