@@ -43,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
         require_parquet()
     except NoParquet as error:
         raise WrongUse(str(error)) from None
+    if args.out.exists() and not args.out.is_dir():
+        raise WrongUse(f"--out {args.out}: is a file; give a folder, new or of the same season")
     for path in args.logs:
         if not path.exists():
             raise WrongUse(f"{path}: is not there; give logs, or folders of logs")

@@ -106,7 +106,7 @@ def identified(task: RunTask) -> bytes:
 
 def _replayed(task: RunTask, began_s: float) -> Identified:
     machine_file = MachineFile(parse_machine(task.machine_text, task.dbc), task.machine_text)
-    heard = _Heard()
+    heard = _HeardFits()
     said: list[str] = []
     summary = replay(task.paths, machine_file, outputs=ReplayOutputs(fit=heard.take), say=said.append)
     told = [event for event in summary.events if event.kind in TOLD_EVENTS]
@@ -129,7 +129,7 @@ def _nothing(summary: ReplaySummary) -> tuple[str, ...]:
     return tuple(dict.fromkeys(sentence(one.reason) for one in last.parameters if one.reason))
 
 
-class _Heard:
+class _HeardFits:
     """The stretches of a run, as its fits come: a block of rows that is fitted again replaces what it told
     before, and no second of driving is told of twice, as in the memory by place."""
 

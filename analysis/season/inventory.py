@@ -66,7 +66,7 @@ class SeenFile:
 
 
 @dataclass(slots=True)
-class Seen:
+class SeenFiles:
     """All that was seen. machines: SHA-256 -> text and, where there is one, DBC file."""
 
     files: dict[str, SeenFile] = field(default_factory=dict)  # path ->
@@ -110,7 +110,7 @@ def take_inventory(
     """paths: files and folders. out: the season's folder. given: the machine file of logs that hold none.
     Raises OSError where nothing can be kept in it."""
     found, left_out = _files(paths, out)
-    seen = unpacked(_kept(out / SEEN), Seen) or Seen()
+    seen = unpacked(_kept(out / SEEN), SeenFiles) or SeenFiles()
     machines = dict(seen.machines)
     if given is not None:
         machines[given.sha256] = (given.text, given.machine.wheel_angle.dbc_text)

@@ -42,7 +42,7 @@ class MergedStretch:
 
 
 @dataclass(frozen=True, slots=True)
-class _Step:
+class _DriftStep:
     """From what was known at the stretch before to what is thought before this one: x' = F x + noise."""
 
     transition: Array  # (6, 6)
@@ -68,14 +68,14 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
         return SixKnown(whole_mean, (whole + whole.T) / 2.0)
 
     state, covariance, errors = np.zeros(len(free)), prior, np.zeros(6)
-    alone, means, covariances, model_sds, steps = [], [], [], [], list[_Step]()
+    alone, means, covariances, model_sds, steps = [], [], [], [], list[_DriftStep]()
     for one, pause_s in zip(stretches, pauses_s, strict=True):
         information, vector = one.information[np.ix_(free, free)], one.vector[free]
         alone.append(known(*_updated(np.zeros(len(free)), prior, information, vector), one.model_sd))
         step = _step(covariance, prior, one, pause_s)
         common = np.zeros(6) if one.changed else np.minimum(errors, one.model_sd)
         given_up = np.zeros(6) if one.changed else errors**2 - common**2
-        step = _Step(step.transition, step.noise + np.diag(given_up[free]))
+        step = _DriftStep(step.transition, step.noise + np.diag(given_up[free]))
         steps.append(step)
         state = step.transition @ state
         covariance = step.transition @ covariance @ step.transition.T + step.noise
@@ -85,7 +85,7 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
         means.append(state)
         covariances.append(covariance)
         model_sds.append(errors)
-    moved = [*steps[1:], _Step(np.eye(len(free)), prior)]  # the last is not used
+    moved = [*steps[1:], _DriftStep(np.eye(len(free)), prior)]  # the last is not used
     smooth = rts_smoother(
         np.array(means), np.array(covariances),
         [step.transition for step in moved], [step.noise for step in moved],
@@ -99,23 +99,23 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
     ]
 
 
-def _step(covariance: Array, prior: Array, one: Stretch, pause_s: float) -> _Step:
+def _step(covariance: Array, prior: Array, one: Stretch, pause_s: float) -> _DriftStep:
     size = len(prior)
     if one.changed:  # all that was known is given up
-        return _Step(np.zeros((size, size)), prior)
+        return _DriftStep(np.zeros((size, size)), prior)
     if pause_s > 0.0:
         return _faded(covariance, prior, share_left(pause_s))
     share = retained_share(one.metres)
-    return _Step(share * np.eye(size), added_covariance(share, np.sqrt(np.diag(prior))))
+    return _DriftStep(share * np.eye(size), added_covariance(share, np.sqrt(np.diag(prior))))
 
 
-def _faded(covariance: Array, prior: Array, share: float) -> _Step:
+def _faded(covariance: Array, prior: Array, share: float) -> _DriftStep:
     """What the warm start does with what was learned, as a step of a linear system: of the information that
     was there a share is left, and the prior's is the rest. Both give the same mean and covariance."""
     before, of_prior = np.linalg.inv(covariance), np.linalg.inv(prior)
     after = np.linalg.inv(share * before + (1.0 - share) * of_prior)
     noise = after @ (share * (1.0 - share) * before + (1.0 - share) * of_prior) @ after
-    return _Step(share * after @ before, (noise + noise.T) / 2.0)
+    return _DriftStep(share * after @ before, (noise + noise.T) / 2.0)
 
 
 def _updated(state: Array, covariance: Array, information: Array, vector: Array) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ from tilth.analysis.report.wording import (
 )
 from tilth.analysis.report.writing import json_text
 from tilth.analysis.season.season import SUMMARY, Season
-from tilth.analysis.season.stretches import STRETCH, DrivenRun, Known, Rig, SeasonRow
+from tilth.analysis.season.stretches import STRETCH, DrivenRun, SaidOfSix, DrivenRig, SeasonRow
 from tilth.logger.log import whole_file
 from tilth.logger.log.software import software
 from tilth.replay.simulated import SAID
@@ -105,11 +105,11 @@ def _short(made: Season, runs: Sequence[DrivenRun], rows: Sequence[SeasonRow]) -
     return ReportSection("short", "In short", tuple(parts))
 
 
-def _rigs_of(runs: Sequence[DrivenRun]) -> list[Rig]:
+def _rigs_of(runs: Sequence[DrivenRun]) -> list[DrivenRig]:
     return list(dict.fromkeys(one.rig for one in runs if one.rig is not None))
 
 
-def _name(rig: Rig) -> str:
+def _name(rig: DrivenRig) -> str:
     return f"{rig.machine}, implement {rig.implement}"
 
 
@@ -163,12 +163,12 @@ def _rigs(runs: Sequence[DrivenRun], rows: Sequence[SeasonRow]) -> ReportSection
     )
 
 
-def _last(rows: Sequence[SeasonRow], rig: Rig) -> Known | None:
+def _last(rows: Sequence[SeasonRow], rig: DrivenRig) -> SaidOfSix | None:
     known = [row.known for row in rows if row.run is not None and row.run.rig == rig and not row.run.apart]
     return next((one for one in reversed(known) if one is not None), None)
 
 
-def _value(known: Known | None, k: int) -> ReportCell:
+def _value(known: SaidOfSix | None, k: int) -> ReportCell:
     if known is None or known.reasons[k]:
         return ReportCell(NOTHING)
     value = math.exp(known.six.mean[k])
@@ -177,7 +177,7 @@ def _value(known: Known | None, k: int) -> ReportCell:
 
 
 def _soils(rows: Sequence[SeasonRow]) -> Iterator[ReportSection]:
-    by_rig: dict[Rig, list[SeasonRow]] = {}
+    by_rig: dict[DrivenRig, list[SeasonRow]] = {}
     for row in rows:
         if row.known is not None and row.run is not None and row.run.rig is not None and not row.run.apart:
             by_rig.setdefault(row.run.rig, []).append(row)

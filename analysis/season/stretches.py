@@ -30,7 +30,7 @@ NO_STRETCH: Final = "nothing was driven of which something could be learned"
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class DrivenRig:
     """A tractor with an implement, as machine files describe them: receivers may have changed."""
 
     machine: str  # its name
@@ -45,7 +45,7 @@ class DrivenRun:
     run: SeasonRun
     found: Identified
     machine: Machine | None = None
-    rig: Rig | None = None
+    rig: DrivenRig | None = None
     apart: str = ""  # why it is not put together with others; "" where it is
     look: list[str] = field(default_factory=list)  # why it deserves a look
 
@@ -70,7 +70,7 @@ class DrivenRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class SaidOfSix:
     """What the table says of the six of a stretch; each in the order of flow.PARAMETERS."""
 
     six: SixKnown
@@ -89,16 +89,16 @@ class SeasonRow:
     run: DrivenRun | None = None
     stretch: Stretch | None = None
     merged: MergedStretch | None = None
-    known: Known | None = None
+    known: SaidOfSix | None = None
 
 
-def rig_of(machine: Machine) -> Rig:
+def rig_of(machine: Machine) -> DrivenRig:
     """By what moves it."""
     said = [part.model_dump(mode="json") for part in (machine.tractor, machine.implement, machine.tyres)]
     sha256 = hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
     implement = machine.implement
     words = f"{implement.mass.value:.0f} kg, d = {implement.d.value:.2f} m"
-    return Rig(machine.machine.name, words, sha256)
+    return DrivenRig(machine.machine.name, words, sha256)
 
 
 def driven(inventory: Inventory, found: Mapping[SeasonRun, Identified]) -> list[DrivenRun]:
@@ -223,7 +223,7 @@ def _row(one: DrivenRun, path: str, known: MergedStretch | None, k: int) -> Seas
     return SeasonRow(STRETCH, status, reason, path, one, stretch, known, said)
 
 
-def _said(machine: Machine, six: SixKnown) -> Known:
+def _said(machine: Machine, six: SixKnown) -> SaidOfSix:
     """Which of the six have a number, as live."""
     prior_sd = unknowns.prior(machine)[1][SIX]
     statuses, reasons = [], []
@@ -232,4 +232,4 @@ def _said(machine: Machine, six: SixKnown) -> Known:
         statuses.append(Status.ESTIMATED if given else Status.UNESTIMATED)
         reasons.append("" if given else sentence(Reason(Code.WIDE, numbers=(sd,))))
     assert len(statuses) == len(PARAMETERS)
-    return Known(six, tuple(statuses), tuple(reasons))
+    return SaidOfSix(six, tuple(statuses), tuple(reasons))
