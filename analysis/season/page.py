@@ -30,7 +30,7 @@ from tilth.analysis.report.wording import (
 )
 from tilth.analysis.report.writing import json_text
 from tilth.analysis.season.season import SUMMARY, Season
-from tilth.analysis.season.stretches import STRETCH, DrivenRun, SaidOfSix, DrivenRig, SeasonRow
+from tilth.analysis.season.stretches import STRETCH, DrivenRig, DrivenRun, SaidOfSix, SeasonRow
 from tilth.logger.log import whole_file
 from tilth.logger.log.software import software
 from tilth.replay.simulated import SAID

@@ -27,7 +27,7 @@ class NoParquet(Exception):
     """pyarrow is not installed; one sentence that says what to do."""
 
 
-class SeasonColumn(NamedTuple):
+class RowColumn(NamedTuple):
     """of: its value of a row; None: there is none."""
 
     name: str
@@ -61,7 +61,7 @@ def _covariance(get: Callable[[SeasonRow], SixKnown | None]) -> Callable[[Season
     return value
 
 
-def _said(k: int) -> tuple[SeasonColumn, ...]:
+def _said(k: int) -> tuple[RowColumn, ...]:
     """Of one parameter: value and sd where it has a number, status, reason."""
     name, unit = PARAMETERS[k], _unit(PARAMETERS[k])
 
@@ -72,11 +72,11 @@ def _said(k: int) -> tuple[SeasonColumn, ...]:
         return value * float(np.sqrt(row.known.six.covariance[k, k])) if sd else value
 
     return (
-        SeasonColumn(name, NUMBER, unit, "by the whole season; empty without a number", lambda r: number(r, False)),
-        SeasonColumn(f"{name}_sd", NUMBER, unit, "its standard deviation", lambda r: number(r, True)),
-        SeasonColumn(f"{name}_status", TEXT, "", "", lambda r: r.known and r.known.statuses[k].name.lower()),
-        SeasonColumn(f"{name}_reason", TEXT, "", "why it has none", lambda r: r.known and r.known.reasons[k]),
-        SeasonColumn(
+        RowColumn(name, NUMBER, unit, "by the whole season, if it has a number", lambda r: number(r, False)),
+        RowColumn(f"{name}_sd", NUMBER, unit, "its standard deviation", lambda r: number(r, True)),
+        RowColumn(f"{name}_status", TEXT, "", "", lambda r: r.known and r.known.statuses[k].name.lower()),
+        RowColumn(f"{name}_reason", TEXT, "", "why it has none", lambda r: r.known and r.known.reasons[k]),
+        RowColumn(
             f"{name}_informed", NUMBER, "1", "share of the prior's variance that this stretch alone removes",
             lambda row: _informed(row, name),
         ),
@@ -98,25 +98,25 @@ _WAYS: Final[dict[str, tuple[str, Callable[[SeasonRow], SixKnown | None]]]] = {
     "forward": ("by all up to the stretch", lambda row: row.merged.forward if row.merged else None),
     "season": ("by the whole season, smoothed", lambda row: row.merged.smoothed if row.merged else None),
 }
-COLUMNS: Final[tuple[SeasonColumn, ...]] = (
-    SeasonColumn("kind", TEXT, "", "stretch; or run or file that gave none", lambda row: row.kind),
-    SeasonColumn("machine", TEXT, "", "its name", _of_run(lambda one: one.rig and one.rig.machine)),
-    SeasonColumn("implement", TEXT, "", "in words", _of_run(lambda one: one.rig and one.rig.implement)),
-    SeasonColumn("rig_sha256", TEXT, "", "of what is said of tractor, implement and tyres",
+COLUMNS: Final[tuple[RowColumn, ...]] = (
+    RowColumn("kind", TEXT, "", "stretch; or run or file that gave none", lambda row: row.kind),
+    RowColumn("machine", TEXT, "", "its name", _of_run(lambda one: one.rig and one.rig.machine)),
+    RowColumn("implement", TEXT, "", "in words", _of_run(lambda one: one.rig and one.rig.implement)),
+    RowColumn("rig_sha256", TEXT, "", "of what is said of tractor, implement and tyres",
            _of_run(lambda one: one.rig and one.rig.sha256)),
-    SeasonColumn("run", TEXT, "", "its name", _of_run(lambda one: one.run.name)),
-    SeasonColumn("log", TEXT, "", "the run's first log, or the file", lambda row: readable(row.path)),
-    SeasonColumn("begin_utc", UTC, "", "empty where nobody knows", lambda row: _utc(row, "begin_ns")),
-    SeasonColumn("end_utc", UTC, "", "empty where nobody knows", lambda row: _utc(row, "end_ns")),
-    SeasonColumn("begin_ns", WHOLE, "ns", "on the log's clock", _of_stretch(lambda one: one.begin_ns)),
-    SeasonColumn("method", TEXT, "", "that has fitted it", _of_stretch(lambda one: one.method)),
-    SeasonColumn("seconds", NUMBER, "s", "of driving", _of_stretch(lambda one: one.seconds)),
-    SeasonColumn("metres", NUMBER, "m", "from the end of the stretch before", _of_stretch(lambda one: one.metres)),
-    SeasonColumn("speed", NUMBER, "m/s", "mean", _of_stretch(lambda one: one.speed)),
-    SeasonColumn("wheel_rms", NUMBER, "rad", "of the wheel angle", _of_stretch(lambda one: one.wheel_rms)),
-    SeasonColumn("latitude_deg", NUMBERS, "degrees", "path of the implement's axle, WGS 84",
+    RowColumn("run", TEXT, "", "its name", _of_run(lambda one: one.run.name)),
+    RowColumn("log", TEXT, "", "the run's first log, or the file", lambda row: readable(row.path)),
+    RowColumn("begin_utc", UTC, "", "empty where nobody knows", lambda row: _utc(row, "begin_ns")),
+    RowColumn("end_utc", UTC, "", "empty where nobody knows", lambda row: _utc(row, "end_ns")),
+    RowColumn("begin_ns", WHOLE, "ns", "on the log's clock", _of_stretch(lambda one: one.begin_ns)),
+    RowColumn("method", TEXT, "", "that has fitted it", _of_stretch(lambda one: one.method)),
+    RowColumn("seconds", NUMBER, "s", "of driving", _of_stretch(lambda one: one.seconds)),
+    RowColumn("metres", NUMBER, "m", "since the stretch before", _of_stretch(lambda one: one.metres)),
+    RowColumn("speed", NUMBER, "m/s", "mean", _of_stretch(lambda one: one.speed)),
+    RowColumn("wheel_rms", NUMBER, "rad", "of the wheel angle", _of_stretch(lambda one: one.wheel_rms)),
+    RowColumn("latitude_deg", NUMBERS, "degrees", "path of the implement's axle, WGS 84",
            _of_stretch(lambda one: one.path_deg[:, 0].tolist())),
-    SeasonColumn("longitude_deg", NUMBERS, "degrees", "path of the implement's axle, WGS 84",
+    RowColumn("longitude_deg", NUMBERS, "degrees", "path of the implement's axle, WGS 84",
            _of_stretch(lambda one: one.path_deg[:, 1].tolist())),
     *(column for k in range(len(PARAMETERS)) for column in _said(k)),
     *(
@@ -124,28 +124,28 @@ COLUMNS: Final[tuple[SeasonColumn, ...]] = (
         for way, (meaning, get) in _WAYS.items()
         for column in (
             *(
-                SeasonColumn(f"{way}_{name}", NUMBER, _unit(name), f"median {meaning}", _values(get, k))
+                RowColumn(f"{way}_{name}", NUMBER, _unit(name), f"median {meaning}", _values(get, k))
                 for k, name in enumerate(PARAMETERS)
             ),
-            SeasonColumn(f"{way}_log_covariance", NUMBERS, "1", f"of the logarithms {meaning}, 6 × 6 by rows",
+            RowColumn(f"{way}_log_covariance", NUMBERS, "1", f"of the logarithms {meaning}, 6 × 6 by rows",
                    _covariance(get)),
         )
     ),
-    SeasonColumn("information", NUMBERS, "1", "of the logarithms, by this stretch alone, 6 × 6 by rows",
+    RowColumn("information", NUMBERS, "1", "of the logarithms, by this alone, 6 × 6 by rows",
            _of_stretch(lambda one: one.information.ravel().tolist())),
-    SeasonColumn("vector", NUMBERS, "1", "information times (what it says less the machine file's logarithm)",
+    RowColumn("vector", NUMBERS, "1", "information times (what it says less the machine file's logarithm)",
            _of_stretch(lambda one: one.vector.tolist())),
-    SeasonColumn("model_sd", NUMBERS, "1", "of the logarithms, errors of the model, in common with other stretches",
+    RowColumn("model_sd", NUMBERS, "1", "of the logarithms, errors of the model, as in other stretches",
            _of_stretch(lambda one: one.model_sd.tolist())),
-    SeasonColumn("changed", TRUTH, "", "it contradicted what was known", _of_stretch(lambda one: one.changed)),
-    SeasonColumn("together", TRUTH, "", "it is put together with other runs",
+    RowColumn("changed", TRUTH, "", "it contradicted what was known", _of_stretch(lambda one: one.changed)),
+    RowColumn("together", TRUTH, "", "it is put together with other runs",
            _of_run(lambda one: not one.apart)),
-    SeasonColumn("status", TEXT, "", "estimated where one of the six has a number",
+    RowColumn("status", TEXT, "", "estimated where one of the six has a number",
            lambda row: row.status.name.lower()),
-    SeasonColumn("reason", TEXT, "", "", lambda row: row.reason),
-    SeasonColumn("logs_sha256", TEXT, "", "of the run's logs, in order",
+    RowColumn("reason", TEXT, "", "", lambda row: row.reason),
+    RowColumn("logs_sha256", TEXT, "", "of the run's logs, in order",
            _of_run(lambda one: " ".join(file.sha256 for file in one.run.files))),
-    SeasonColumn("machine_sha256", TEXT, "", "of the machine file", _of_run(lambda one: one.run.machine)),
+    RowColumn("machine_sha256", TEXT, "", "of the machine file", _of_run(lambda one: one.run.machine)),
 )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ A part is a function of one item, which gives bytes: packed where they are compu
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from functools import partial
 from typing import Any, Final, Protocol, TypeVar
 
@@ -14,6 +15,7 @@ from tilth.analysis.fit.side_by_side import processes
 
 Item = TypeVar("Item")
 
+ALONE: Final = 2  # tries of a part in a process of its own
 LOST: Final = "the process that computed it was ended, twice: by hand, or since there was too little memory"
 
 
@@ -76,9 +78,8 @@ def _in_a_pool(workers: int, part: Callable[[Any], bytes], left: list[Any], begu
 
 
 def _alone(part: Callable[[Any], bytes], item: Any) -> bytes | LostPart:
-    """Once more, in a process of its own."""
-    try:
-        with processes(1, "spawn") as pool:
+    """In a process of its own: that it was lost with others says nothing of it."""
+    for _ in range(ALONE):
+        with suppress(BrokenProcessPool), processes(1, "spawn") as pool:
             return pool.submit(part, item).result()
-    except BrokenProcessPool:
-        return LostPart(LOST)
+    return LostPart(LOST)
