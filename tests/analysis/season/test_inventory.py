@@ -1,7 +1,10 @@
 """Folders and sticks of logs: what is found there, and why some of it is not used."""
 
+import os
 import re
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -53,15 +56,11 @@ def test_runs_are_ordered_by_time_then_name_and_those_without_a_time_come_last(t
     ):
         writer = LogWriter(tmp_path / f"{name}.mcap", FILE, RunPart(name, 1, at_ns))
         for k, frame in enumerate(some_frames(3, seed=ord(name))):
-            writer.frame(type(frame)(at_ns + k, at_ns + k, *_rest(frame)))
+            writer.frame(replace(frame, t_ns=at_ns + k, rx_ns=at_ns + k))
         writer.close()
     found = taken(tmp_path, out=tmp_path / "out")
     assert [run.name for run in found.runs] == ["z", "a", "b", "c"]
     assert found.runs[-1].utc_ns is None
-
-
-def _rest(frame: object) -> list[object]:
-    return [getattr(frame, name) for name in ("bus", "can_id", "extended", "error", "data")]
 
 
 def test_a_cut_log_is_recovered_into_the_seasons_folder_and_stays_as_it_was(tmp_path: Path) -> None:
@@ -76,7 +75,7 @@ def test_a_cut_log_is_recovered_into_the_seasons_folder_and_stays_as_it_was(tmp_
     assert taken(path, out=tmp_path / "out").runs == found.runs
 
 
-BAD = {
+BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "zero mass": (
         lambda path: write_mcap(
             path, some_frames(9), text=re.sub("(?m)^mass = .*$", "mass = 0.0", MACHINE_TEXT)
@@ -103,14 +102,14 @@ def test_a_folder_that_cannot_be_read_has_a_reason(tmp_path: Path, monkeypatch: 
     """As root may read all, the system is asked to refuse."""
     write_mcap(tmp_path / "good.mcap", some_frames(20))
     (tmp_path / "locked").mkdir()
-    walk = inventory.os.walk
+    walk = os.walk
 
     def refused(top: Path, onerror: object) -> object:
         yield from walk(top, onerror=onerror)
         assert callable(onerror)
         onerror(PermissionError(13, "Permission denied", str(tmp_path / "locked")))
 
-    monkeypatch.setattr(inventory.os, "walk", refused)
+    monkeypatch.setattr(os, "walk", refused)
     found = taken(tmp_path, out=tmp_path / "out")
     assert len(found.runs) == 1
     assert found.left_out[0][0] == str(tmp_path / "locked") and "cannot be read" in found.left_out[0][1]

@@ -17,13 +17,13 @@ from logs import MACHINE, OTHER_TEXT, some_frames, write_mcap
 from recorded import cut, recorded
 
 from tilth.analysis.runs.kept import load
-from tilth.analysis.season import season as season_module
 from tilth.analysis.season.identified import Identified
 from tilth.analysis.season.page import report_of, write_summary
 from tilth.analysis.season.season import DONE, RUNS, SUMMARY, TABLE, Season, SeasonProblem, finish, season
 from tilth.analysis.season.stretches import UNCONFIRMED
 from tilth.analysis.workers.parts import LOST, LostPart, Parts, here
 from tilth.estimator.filters.unknowns import SIX, prior
+from tilth.logger.log import whole_file
 from tilth.schemas.flow import PARAMETERS
 
 pq = pytest.importorskip("pyarrow.parquet")
@@ -120,14 +120,14 @@ def test_a_full_disk_costs_what_is_kept_and_no_result(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The table still fits."""
-    write, out = season_module.whole_file.write, tmp_path / "out"
+    write, out = whole_file.write, tmp_path / "out"
 
     def full(path: Path, data: bytes, **more: Any) -> None:
         if path.parent.name == RUNS:
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         write(path, data, **more)
 
-    monkeypatch.setattr(season_module.whole_file, "write", full)
+    monkeypatch.setattr(whole_file, "write", full)
     found = made(logs, out=out)
     assert "space" in found.not_kept and len(rows_of(out)) == 4 and not (out / DONE).exists()
     monkeypatch.undo()
