@@ -43,6 +43,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("compare", "what differs beyond chance between two logs or fits"),
     ("import", "make a log of a table of positions and wheel angles"),
     ("export", "write what logs hold to Parquet, CSV or MAT files"),
+    ("season", "identify many days of logs, and put them together"),
     ("report", "tell what was driven and found, in one HTML file"),
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),

@@ -142,21 +142,43 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
     state.track.clear()
 
 
+def records_of(job: Any) -> list[Record]:
+    """Of a job of pem or of rows."""
+    return job.rows if isinstance(job, rows.Job) else [job.record]
+
+
+def window_of(state: PlaceState, job: Any, made: Any) -> SoilWindow | None:
+    """What another method's fit has told, and where; None where it told nothing, or nobody knows where."""
+    if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
+        return None
+    records, method = records_of(job), rows.METHOD if isinstance(made, rows.Fit) else pem.METHOD
+    path = _path(state.track, records)
+    if path is None:
+        return None
+    return SoilWindow(method, records[0].t_ns, state.passing, path, made.told)
+
+
+def of_other_driving(
+    windows: Sequence[SoilWindow], window: SoilWindow, records: Sequence[Record]
+) -> list[SoilWindow]:
+    """Those that stay beside a window of these records: a second of driving informs the six once."""
+    method, begin_ns = window.method, window.begin_ns
+    kept = [w for w in windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
+    if method == rows.METHOD:  # in a row by this method
+        kept = [w for w in kept if w.method == method or not _begins_in(w, records)]
+    return kept
+
+
 def learn(state: PlaceState, job: Any, made: Any) -> bool:
     """Take what another method's fit has told. Returns whether a change of soil that it found was foreseen:
     it is no more than the memory expected of the place."""
-    if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
+    window = window_of(state, job, made)
+    if window is None:
         return False
-    method, records = (rows.METHOD, job.rows) if isinstance(made, rows.Fit) else (pem.METHOD, [job.record])
-    path = _path(state.track, records)
-    if path is None:
-        return False
-    begin_ns = records[0].t_ns
-    kept = [w for w in state.windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
-    if method == rows.METHOD:  # a second of driving informs the six once: in a row by this method
-        kept = [w for w in kept if w.method == method or not _begins_in(w, records)]
+    path, records = window.path, records_of(job)
+    kept = of_other_driving(state.windows, window, records)
     before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
-    window = SoilWindow(method, begin_ns, state.passing, path, made.told, kept[-1].epoch if kept else 0)
+    window = replace(window, epoch=kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
     foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(before, path)
