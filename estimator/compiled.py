@@ -29,7 +29,7 @@ from tilth.estimator.kernel_digest import INLINE, INNER, KernelFunction, called
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTIONS: Final = {"nogil": True}  # of the compiler
+OPTIONS: Final = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # of the compiler
 
 Finish = Callable[[FunctionType, FunctionType], Any]  # (linked copy, function as written)
 
@@ -88,8 +88,8 @@ class Kernel(KernelFunction, Generic[P, R]):
         The code is stored on disk if a folder for it can be written. Raises NotDigestible, also where numba
         is absent, so that a mistake in a kernel shows on every computer.
         """
-        kernel_digest.check_arguments(self.function, args)
         known = kernel_digest.readings(self.function)
+        kernel_digest.check_arguments(self.function, known, args)
         try:
             import numba
             import numpy
@@ -104,11 +104,13 @@ class Kernel(KernelFunction, Generic[P, R]):
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:
-                digest = kernel_digest.digest(written, known, versions)
+                within = written is not self.function  # who calls it from Python calls another copy
+                digest = kernel_digest.digest(written, known, f"{versions} {within}")
                 copy.__qualname__ = f"{written.__qualname__}-{digest}"
                 # numba's stubs do not name _nrt, which its own functions use in the same way.
                 inner = kernel_digest.is_marked(written, INNER)
-                options: dict[str, Any] = OPTIONS | {"cache": keep, "_nrt": not inner}
+                own = {"cache": keep, "_nrt": not inner, "no_cpython_wrapper": within}
+                options: dict[str, Any] = OPTIONS | own
                 if kernel_digest.is_marked(written, INLINE):
                     options["inline"] = "always"
                 return numba.njit(**options)(copy)
