@@ -17,7 +17,14 @@ from tilth.estimator.filters.measurement_model import between, noise_factor
 from tilth.estimator.filters.record_loop import over_ticks
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, driven_by, set_wheel_slopes
 from tilth.estimator.filters.states import DT, Places
-from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
+from tilth.estimator.filters.straight_driving import (
+    KEPT,
+    N_SENSORS,
+    N_STRAIGHT,
+    PLACES,
+    FilterModel,
+    StraightModel,
+)
 from tilth.estimator.filters.transition import multiply
 from tilth.estimator.filters.unknowns import AT_YAW_RATE_DELAY, N_UNKNOWNS
 from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE
@@ -305,3 +312,19 @@ def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places
         np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_UNKNOWNS),
     )  # fmt: skip
     run_response(row.ticks.shape[0], row.rows, on)
+
+
+def rehearse() -> None:
+    """Compile both loops, by runs over one tick without a row. They call nothing of the rig's motion."""
+    n, outputs, speeds, ticks, rows = len(KEPT), N_SENSORS, np.arange(2.0), np.zeros((1, 8)), np.zeros((0, 6))
+    of_all, unknowns, places = np.zeros((2, n, n)), np.zeros(N_UNKNOWNS), np.zeros(1, np.int64)
+    model = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n))
+    gains = KeptGains(rows[:, 0].copy(), rows[:, 0].copy(), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0))
+    set_gains(ticks, rows, np.zeros(0), unknowns, model, 0, gains)
+    shape = (2, outputs, N_STRAIGHT)
+    straight = StraightModel(
+        speeds, np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1, 1)),
+        np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[:2]), np.zeros((*shape[:2], 1)),
+    )  # fmt: skip
+    row = Whitened(ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1))
+    respond(row, straight, unknowns, places, np.zeros((0, 2)))

@@ -227,7 +227,7 @@ def decay_rows(A: Array, first: int, decay: Array, bank: Array) -> None:
             A[BANK_STATES[k], j] = total
 
 
-@inner_kernel
+@inline_kernel
 def propagate_covariance(P: Array, c: int, step: Transition, psi: float) -> None:
     """Propagate P (n, n), of x or of the joint state of filter c of step, over one tick, in place; it stays
     symmetric. psi: heading, rad."""
