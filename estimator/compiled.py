@@ -13,8 +13,9 @@ Code of numba counts who holds each array: a call with a tuple of twenty arrays 
 instructions. In a filter's run that was half of the time. An inner kernel makes no array, so it does without.
 
 numba also optimises all that a function calls anew with each of its callers: code seven calls deep seven
-times. So a step of a long chain that has few callers is inline. A function with many callers, or a short one,
-compiles sooner by itself.
+times. So a step of a long chain that has few callers is inline, and the arrays of a run are made in Python,
+not by a kernel around its loop. A function with many callers, or a short one, compiles sooner by itself. Each
+type of an argument is compiled for, and to numba the constant 0 is one of its own.
 """
 
 import importlib.util
@@ -29,7 +30,8 @@ from tilth.estimator.kernel_digest import INLINE, INNER, KernelFunction, called
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTIONS: Final = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # of the compiler
+OPTIONS: Final = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Of the compiler. As numpy's arrays, kernels divide by zero without an error; nobody needs a C function."""
 
 Finish = Callable[[FunctionType, FunctionType], Any]  # (linked copy, function as written)
 

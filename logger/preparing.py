@@ -61,7 +61,7 @@ class Preparing:
 
     @property
     def remaining_s(self) -> float | None:
-        """About how long it still takes, less each time that it is asked for; None where that is not known."""
+        """About how long it still takes, less each time it is asked for; None where not known."""
         at_s, left_s = self._foretold
         if self.ready or math.isinf(left_s):
             return None

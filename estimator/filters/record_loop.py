@@ -21,7 +21,7 @@ def begin_tick(k: int, on: Any) -> Any:
     raise NotImplementedError
 
 
-def take_row(row: int, k: int, at: Any, on: Any) -> None:
+def take_row(row: int | np.int64, k: int, at: Any, on: Any) -> None:
     """A row of the record, after tick k. at: what `begin_tick` gave."""
     raise NotImplementedError
 
