@@ -32,7 +32,7 @@ from tilth.schemas.sentences import notice_sentence
 said = []
 worker = Worker(MACHINE, lambda kind, told: said.append(notice_sentence(told)))
 worker.start()
-deadline = time.monotonic() + 60.0
+deadline = time.monotonic() + 120.0
 while not (said if REFUSED else worker._job) and time.monotonic() < deadline:
     time.sleep(0.01)
 print(os.getpriority(os.PRIO_PROCESS, worker._job.pid), said)

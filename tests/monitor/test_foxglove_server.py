@@ -117,7 +117,7 @@ def test_a_viewer_of_another_origin_is_refused_as_by_the_page(
 def test_what_is_no_request_ends(guarded: tuple[int, list[str]]) -> None:
     port, _ = guarded
     for nonsense in (b"\r\n\r\n", b"\xff" * 100_000, b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 9000):
-        with socket.create_connection(("127.0.0.1", port), timeout=10) as raw, suppress(ConnectionError):
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as raw, suppress(ConnectionError):
             raw.sendall(nonsense)
             assert b"400" in raw.recv(100)
     assert status_of(port, [f"Host: localhost:{port}"]) == 101
@@ -147,7 +147,7 @@ def status_of(port: int, headers: list[str]) -> int:
         f"Sec-WebSocket-Key: {key}",
         "Sec-WebSocket-Protocol: foxglove.sdk.v1",
     ]
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as raw:
         raw.sendall("\r\n".join([*lines, "", ""]).encode())
         return int(raw.recv(100).split()[1])
 

@@ -161,7 +161,7 @@ def test_a_malformed_header_is_a_400_and_no_traceback(stage: Stage, tmp_path: Pa
 
 def raw_status(address: str, request: bytes) -> int:
     host, _, port = address.rpartition(":")
-    with socket.create_connection((host, int(port)), timeout=10) as raw:
+    with socket.create_connection((host, int(port)), timeout=PATIENCE_S) as raw:
         raw.sendall(request)
         return int(raw.recv(100).split()[1])
 
