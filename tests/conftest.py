@@ -17,7 +17,7 @@ import pytest
 from logs import MACHINE
 from loopback import Sender
 from paths import ROOT
-from recorded import RUN_FOLDER
+from recorded import RUN_FOLDER, once
 
 from tilth.logger import compiling
 from tilth.logger.can.lean_can import import_can
@@ -73,9 +73,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel() -> Path:
     """Of this checkout, in which an earlier build has left a module that is no longer there."""
-    folder, root = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("checkout") / "tilth"
+    return once("wheel", _built)
+
+
+def _built(folder: Path) -> Path:
+    root = folder / "checkout" / "tilth"
     others = (".*", "tests", "docs", "bench", "build", "dist", "logs", "*.egg-info", "__pycache__")
     shutil.copytree(ROOT, root, ignore=shutil.ignore_patterns(*others))
     (root / "build/lib/tilth/cli").mkdir(parents=True)

@@ -79,6 +79,7 @@ def unfit(x: float) -> float:
     return x + len(f"{object()!r}") * 0.0
 
 
+@pytest.mark.long
 def test_what_a_drive_calls_was_prepared() -> None:
     """Whatever the estimators do: stretches, advice, fits in place, faults. A process of its own, since here
     others have called kernels before."""

@@ -49,6 +49,7 @@ def server(*words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
         process.communicate()
 
 
+@pytest.mark.long
 def test_a_viewer_has_what_the_daemon_publishes(tmp_path: Path) -> None:
     with closing(FieldRig(tmp_path, 240.0)) as rig, server("--connect", rig.endpoint) as (address, process):
         assert address.startswith("ws://127.0.0.1:")

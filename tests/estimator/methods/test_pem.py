@@ -251,6 +251,7 @@ def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
     assert take_events(state) == [("fit", reasoned(Reason(Code.FIT_DROPPED)))]
 
 
+@pytest.mark.long
 def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -> None:
     record, truth = _driven(2)
     state = pem.initial(machine)

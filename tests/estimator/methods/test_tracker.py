@@ -396,6 +396,7 @@ def follow(state: TrackerState, segments: list[Segment]) -> None:
         tracker.take_segment(state, MACHINE, segment)
 
 
+@pytest.mark.long
 def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
     state = learned(driven(RANDOM, 1)[1])
     mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])
