@@ -223,9 +223,9 @@ def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) 
     estimated to be, tyres came out a third too soft there."""
     errors, scores, own = [], [], []
     for seed in range(3):
-        _, given, events, truth = driven(HEADLANDS, seed)
+        driven_to, given, events, truth = driven(HEADLANDS, seed)
         assert events == []
-        state = learned(given)
+        state = driven_to.estimators[tracker.METHOD]
         errors.append(state.mean[SIX] - truth)
         scores.append(errors[-1] / np.sqrt(np.diag(tracker.reported_covariance(state))))
         with monkeypatch.context() as patch:
