@@ -44,6 +44,7 @@ def test_elsewhere_all_is_equal_within_the_tolerances(live: Live, disguise: str)
     assert 0.0 < found["largest"]["amount"] < found["largest"]["tolerance"]
 
 
+@pytest.mark.long
 def test_elsewhere_what_is_missing_or_of_another_time_stays_a_difference(live: Live, tmp_path: Path) -> None:
     status, found = verified(altered(live, tmp_path, "/pose", 40, "missing"), ONE)
     assert status == 1 and found["difference"].startswith("/pose: ")

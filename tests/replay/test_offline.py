@@ -173,6 +173,7 @@ def test_a_part_whose_state_is_refused_says_why_and_gives_poses_all_the_same(
     assert (again.poses, output) == (summary.poses, [])
 
 
+@pytest.mark.long
 def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refused(
     live: Live, tmp_path: Path
 ) -> None:

@@ -204,6 +204,7 @@ def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
     assert any(flag.kind is CONTRADICTION for flag in poses[-1].flags)
 
 
+@pytest.mark.long
 def test_numbers_come_back_when_the_contradiction_is_gone() -> None:
     moved_receiver = Fault(Mount.TRACTOR_FRONT, 45.0, 75.0, "moved")
     scenario = replace(RANDOM, seconds=115.0, faults=(moved_receiver,))
