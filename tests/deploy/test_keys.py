@@ -112,6 +112,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
     with open_session(config=folder / "witness.json") as witness:
         until(lambda: answers_to(witness, f"{BASE}/status") == [b"well"], lambda: None)
         witness.declare_subscriber(f"{BASE}/**", lambda sample: one.witness.put(sample.payload.to_bytes()))
+        assert answers_to(witness, f"{BASE}/status") == [b"well"]  # so the subscription is known
         yield one
     session.close()
 

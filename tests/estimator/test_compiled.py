@@ -176,6 +176,7 @@ def _run(root: Path, package: Path, constants: str) -> Results:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long
 def test_a_changed_constant_recompiles_and_an_unchanged_one_does_not(runs: list[Results], name: str) -> None:
     first, again, changed = (run[name] for run in runs)
     assert first == (BEFORE.get(name, 1.0), "compiled and kept", 0)

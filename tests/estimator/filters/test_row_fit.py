@@ -103,6 +103,7 @@ def test_slopes_are_those_of_differences(name: str) -> None:
     np.testing.assert_allclose(slopes, differences, atol=3e-3 * np.abs(differences).max())
 
 
+@pytest.mark.long
 def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
     """Of tyres that are far from the prior's; two rows together."""
     ratios = []
