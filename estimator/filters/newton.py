@@ -33,6 +33,13 @@ class NewtonStep(NamedTuple):
     sds: Array  # (a,), posterior ones by the information, to see how far that is
 
 
+class StepTaken(NamedTuple):
+    """The step before."""
+
+    newton: Array  # (a,), as Newton had it
+    taken: Array  # (a,), as it was taken
+
+
 class End(Enum):
     """How a search has ended."""
 
@@ -82,6 +89,7 @@ class Rule(NamedTuple):
     tries: int = 100  # of a step, each with `more` damping than the one before
     at_once: bool = False  # lessen it only if the first try does
     moving: NDArray[np.bool_] | None = None  # (a,), which unknowns may move, all if None
+    secant: bool = False  # whether a step back is shorter, as `not_back` says
 
 
 def newton_step(
@@ -121,14 +129,16 @@ def share_of_step(k: int, most: int) -> float:
 def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]:
     """The minimum of a problem's cost from a point on, by at most so many damped steps, one or more."""
     damping, sizes, promised = NEWTON.first_damping, np.zeros(0), math.inf
+    last: StepTaken | None = None
     for step in range(1, most + 1):
         at, gradient, information = problem.terms(at)
         newton, sds = newton_step(gradient, information, moving=rule.moving)
         promised = -float(gradient @ newton) / 2.0
-        descent = _descend(problem, at, gradient, information, rule, damping)
+        descent = _descend(problem, at, gradient, information, rule, damping, last)
         change, then, damping = descent
         if then is None:
             return Minimum(at, step, End.STUCK, np.abs(newton) / sds, promised)
+        last = StepTaken(newton, change) if rule.secant else None
         before, at, sizes = at, problem.taken(step, then), np.abs(change) / sds
         if problem.settled(step, before, at, sizes):
             return Minimum(at, step, End.SETTLED, sizes, promised)
@@ -136,8 +146,9 @@ def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]
 
 
 def _descend(
-    problem: Problem[At], at: At, gradient: Array, information: Array, rule: Rule, damping: float
-) -> tuple[Array, At | None, float]:
+    problem: Problem[At], at: At, gradient: Array, information: Array, rule: Rule, damping: float,
+    last: StepTaken | None,
+) -> tuple[Array, At | None, float]:  # fmt: skip
     """(step, what is there after it, damping of the next one); None in the second place if no step lowers the
     cost."""
     for tried in range(rule.tries):
@@ -147,8 +158,24 @@ def _descend(
         change, _ = newton_step(
             gradient, information, moving=rule.moving, damping=more, limits=rule.limits, each=rule.each
         )
+        change = change if last is None else not_back(change, last, information)
         then = problem.after(at, change)
         if then is not None:
             kept = rule.at_once and tried > 0
             return change, then, more if kept else max(more * rule.less, rule.least)
     return np.zeros(len(gradient)), None, damping
+
+
+def not_back(change: Array, last: StepTaken, information: Array) -> Array:
+    """A step, (a,), that does not go to and fro.
+
+    By the slopes, a share 1 - s of Newton's step is left after a share s of it was taken. Where a step goes
+    back instead, the curvature along the one before is larger by a factor, and it is shorter there by that
+    (a secant).
+    """
+    square = float(last.newton @ information @ last.newton)
+    left, share = (float(one @ information @ last.newton) / square for one in (change, last.taken))
+    if left >= 0.0 or share <= 0.0:
+        return change
+    factor = max((1.0 - left) / share, 1.0)
+    return change + left * (1.0 / factor - 1.0) * last.newton
