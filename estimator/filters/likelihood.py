@@ -91,6 +91,7 @@ class Search:
     prior_information: Array  # (a, a), of the active ones
     prior_sd: Array  # (a,), with all others unknown
     active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
+    outliers_chosen: bool = False  # whether `used` stays as it is
     of_motion: NDArray[np.bool_] = field(init=False)  # (a,), whether an active unknown is no noise level
     of_roll: NDArray[np.bool_] = field(init=False)  # (a,), whether it is of how a body swings on its tyres
 
@@ -197,6 +198,12 @@ def _cost(search: Search, point: Array, e: Array, S: Array) -> float:
         return negative_log_likelihood(search, e, S) + float(
             0.5 * deviation @ search.prior_information @ deviation
         )
+
+
+def posterior_cost(search: Search, point: Array) -> float:
+    """Of record and prior at a point, [n], nats, up to a constant."""
+    made = _run(search, point)
+    return _cost(search, point, made.e, made.S)
 
 
 def search_of(record: Record, setup: RigSetup, mean: Array, covariance: Array) -> Search:

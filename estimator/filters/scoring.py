@@ -23,12 +23,22 @@ from tilth.estimator.filters.likelihood import (
     inverse,
     likelihood_at,
     negative_log_likelihood,
+    posterior_cost,
     response_to_steering,
     scores_at,
     search_of,
     with_gains,
 )
-from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step
+from tilth.estimator.filters.newton import (
+    End,
+    Minimum,
+    Rule,
+    are_two,
+    beside,
+    flattest,
+    minimise,
+    newton_step,
+)
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
@@ -96,6 +106,7 @@ class Posterior:
     converged: bool
     contrast: Contrast | None = None
     """With the estimate that needs no model of the ground, where it is asked for."""
+    two_places: bool = False  # whether another place, more than a sd away, is about as likely
 
 
 def maximise_posterior(
@@ -120,13 +131,8 @@ def maximise_posterior(
     point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, SEARCH.rough_start, 0.0)
     first = evaluate(search, point, levels=True)
     gain = 0.0 if reference is None else _gain(search, reference, mean, first)
-    found, steps, converged = _likeliest(search, first)
-    _, information = gradient_and_information(search, found, scores_at(search, found))
-    counted = information
-    if setup.scale == 1.0:
-        there, settled = _apart(search, found)
-        found, counted, steps = there.at.left, there.at.information, steps + there.steps
-        converged |= settled
+    ended, two_places = _in_one_place(search, _ended(search, first))
+    found, information, counted, converged = ended.at, ended.information, ended.counted, ended.converged
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
     scores = scores_at(search, found)
     record_information = np.zeros_like(covariance)
@@ -134,10 +140,53 @@ def maximise_posterior(
     return Posterior(
         found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
         record_information,
-        found.cost / max(len(record.rows), 1), gain, steps, len(record.rows),
+        found.cost / max(len(record.rows), 1), gain, ended.steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
         contrast_of(search, found, counted) if contrast and converged and setup.scale == 1.0 else None,
+        two_places,
     )  # fmt: skip
+
+
+class _Ended(NamedTuple):
+    """Where the whole search has ended."""
+
+    at: Iterate  # as apart_from_ground
+    information: Array  # (a, a), of the record and the prior
+    counted: Array  # (a, a), what apart_from_ground leaves of it
+    cost: float  # without it
+    steps: int
+    converged: bool
+
+
+def _ended(search: Search, first: Iterate) -> _Ended:
+    """first: where the search begins."""
+    found, steps, converged = _likeliest(search, first)
+    _, information = gradient_and_information(search, found, scores_at(search, found))
+    if search.setup.scale != 1.0:
+        return _Ended(found, information, information, found.cost, steps, converged)
+    there, settled = _apart(search, found)
+    left, here = there.at.left, there.at.here
+    steps += there.steps
+    return _Ended(left, information, there.at.information, here.cost, steps, converged or settled)
+
+
+def _in_one_place(search: Search, ended: _Ended) -> tuple[_Ended, bool]:
+    """(the better one of two places, if there is a sign of another; whether either may be)."""
+    if search.setup.scale != 1.0 or not np.any(search.active < 6):
+        return ended, False
+    covariance, six, point = inverse(ended.counted), search.active < 6, ended.at.point
+    change = beside(
+        lambda change: posterior_cost(search, _moved(search, point, change)) - ended.cost,
+        flattest(covariance, search.prior_sd, six),
+    )
+    if change is None:
+        return ended, False
+    search.outliers_chosen = True  # costs over other rows could not be compared
+    other = _ended(search, evaluate(search, _moved(search, point, change), levels=True))
+    away = (other.at.point - point)[search.active] / np.sqrt(np.diag(covariance))
+    two = other.converged and are_two(away[six], abs(other.at.cost - ended.at.cost))
+    better = other if other.converged and other.at.cost < ended.at.cost else ended
+    return better._replace(steps=ended.steps + other.steps), two
 
 
 def _likeliest(search: Search, first: Iterate) -> tuple[Iterate, int, bool]:
@@ -209,7 +258,7 @@ class _Likelihood(NamedTuple):
         return then if np.isfinite(then.cost) and then.cost <= at.cost + SEARCH.slack else None
 
     def taken(self, step: int, at: Iterate) -> Iterate:
-        if step != 2 or self.gains is not Gains.HELD:
+        if step != 2 or self.gains is not Gains.HELD or self.search.outliers_chosen:
             return at
         before = self.search.used
         _leave_out(self.search, at.e, at.S)  # outliers are chosen once in a fit, at this point
