@@ -17,7 +17,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, place, rows, tracker
+from tilth.estimator.methods import open_tracker, pem, place, rows, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -385,7 +385,10 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
             _publish_events(state, t_ns, other, out, foreseen=False)
     if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
         diagnosis.fit_tells(state.diagnosis, method, made.of_file, made.seconds)
+    learns = isinstance(made, pem.Fit) and made.refused is None and method_state.job is not None
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
+    if learns:
+        diagnosis.windows_tell(state.diagnosis, open_tracker.of_windows(state.machine, method_state))
     _publish_events(state, t_ns, row, out, foreseen)
     _publish_estimates(state, t_ns, [estimate], out)
     return out
