@@ -108,6 +108,7 @@ ROWS: Final[dict[str, Change]] = {
     "drift": lambda k, scenario: replace(scenario, wheel=replace(scenario.wheel, zero_drift_degps=0.3 / 600)),
     "slope": _sloping,
     "nothing_own": lambda k, scenario: _steered(scenario, own=0.0),
+    "limit_cycle": lambda k, scenario: _steered(scenario, make="valve", own=0.0, slack_deg=0.1),
     "dither": lambda k, scenario: _steered(scenario, own=0.0, dither_deg=0.3),
 }
 """What differs from the usual row, of drive k."""

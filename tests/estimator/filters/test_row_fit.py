@@ -90,7 +90,7 @@ def test_what_is_measured_together_is_of_one_epoch(phase: float, jitter: float, 
 @pytest.mark.parametrize("name", ["C_af", "C_ai", "sigma_r", "wheel_gain", "roll_k_t", "d", "lever_t"])
 def test_slopes_are_those_of_differences(name: str) -> None:
     fit, step = RowFit([driven(30.0, 1, MEAN)], SETUP, MEAN, COVARIANCE), 1e-4 * np.eye(len(MEAN))[AT[name]]
-    column, none = int(np.flatnonzero(fit.active == AT[name])[0]), np.zeros(1)
+    column, none = int(np.flatnonzero(fit.active == AT[name])[0]), fit.none
     here, ahead, behind = (fit.at(MEAN + way * step, none) for way in (0.0, 1.0, -1.0))
     assert here is not None and ahead is not None and behind is not None
     slopes = fit.slopes(here)[0][fit.order :, :, column]
