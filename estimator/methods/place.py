@@ -80,6 +80,7 @@ class PlaceState(MethodState):
     track: deque[TrackPoint] = field(default_factory=lambda: deque(maxlen=PLACE.track))
     axles: Annotated[Array, Shape((3, 2))] | None = None  # where they are now
     origin_deg: tuple[float, float] | None = None  # latitude and longitude, of the plane
+    rows_ns: list[tuple[int, int]] = field(default_factory=list)  # of the rows that were fitted last
     passing: int = 0  # number of the pass
     heading: float = 0.0  # rad, of the pass
     window_s: float = 0.0
@@ -153,8 +154,12 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
         return False
     begin_ns = records[0].t_ns
     kept = [w for w in state.windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
-    if method == rows.METHOD:  # a second of driving informs the six once: in a row by this method
-        kept = [w for w in kept if w.method == method or not _begins_in(w, records)]
+    # A second of driving informs the six once: in a row by `rows`, whichever of the two is told first.
+    if method == rows.METHOD:
+        state.rows_ns = [(record.t_ns, record.end_ns) for record in records]
+        kept = [w for w in kept if w.method == method or not _begins_in(w.begin_ns, state.rows_ns)]
+    elif _begins_in(begin_ns, state.rows_ns):
+        return False
     before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
     window = SoilWindow(method, begin_ns, state.passing, path, made.told, kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
@@ -201,10 +206,10 @@ def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
     return pem.soil_changed(found @ window.told.vector - expected.mean, np.sqrt(variances))
 
 
-def _begins_in(window: SoilWindow, records: Sequence[Record]) -> bool:
-    """Whether it is of the driving in these rows, and not of the turn behind one, whose windows begin before
-    the wheels turn."""
-    return any(r.t_ns <= window.begin_ns < r.end_ns - PLACE.lead_ns for r in records)
+def _begins_in(begin_ns: int, rows_ns: Sequence[tuple[int, int]]) -> bool:
+    """Whether a window is of the driving in these rows, and not of the turn behind one, whose windows begin
+    before the wheels turn."""
+    return any(begin <= begin_ns < end - PLACE.lead_ns for begin, end in rows_ns)
 
 
 def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:
@@ -273,5 +278,6 @@ def _soil(state: PlaceState) -> SoilMemory:
 def clock_stepped(state: PlaceState, by_ns: int) -> None:
     """The log's clock stepped back: what windows have told stays, and where."""
     state.track.clear()
+    state.rows_ns.clear()
     state.axles = None
     step_clock(state, by_ns)
