@@ -210,8 +210,8 @@ def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array
 def read_response(
     code: int, late: float, at: RowSpeed, model: StraightModel, z: Array, following: Array, out: Array
 ) -> None:
-    """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z. The model's slopes are of the first
-    ones only; on the others it does not depend."""
+    """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z. The model has slopes of the
+    first ones only; on the others it does not depend."""
     low, share = at
     na, upper = model.offsets.shape[2], low + 1
     out[:] = 0.0

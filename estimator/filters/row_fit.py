@@ -195,7 +195,9 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
     used = (np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)).astype(np.float64)
     gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, len(KEPT))), np.zeros((m, len(KEPT))), used)
     model = filter_model(speeds, point, setup)
-    each = Whitened(ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]), flanks(wheel))
+    each = Whitened(
+        ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]), flanks(wheel)
+    )
     response, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
     respond(each, straight, _of_row(point, 0.0, np.zeros(len(OF_ROWS))), likelihood.NOTHING, response)
     left = across_row(record) - response[:, 0]
@@ -264,8 +266,8 @@ class RowFit:
     def _respond(
         self, k: int, point: Array, own: Array, places: NDArray[np.int64] = likelihood.NOTHING
     ) -> tuple[Array, Array]:
-        """Of row k at a point, (n,) and (r + 3,): (the whitened response (n, c), its slopes (n, c, a) by those at
-        places)."""
+        """Of row k at a point, (n,) and (r + 3,): (the whitened response (n, c), its slopes (n, c, a) by
+        those at places)."""
         row = self.rows[k]
         of_model = places[places < AT_PLAY]
         model = straight_model(tabulated(row.whitened.ticks), point, self.setup, of_model)

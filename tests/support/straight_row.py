@@ -49,7 +49,11 @@ def weaving(seconds: float, speeds: tuple[float, float] = (4.2, 4.2), seed: int 
 
 
 def raw_response(
-    record: Record, point: Array, setup: RigSetup, places: Places = NOTHING, of_rows: Sequence[float] = (0.0,) * 3
+    record: Record,
+    point: Array,
+    setup: RigSetup,
+    places: Places = NOTHING,
+    of_rows: Sequence[float] = (0.0,) * 3,
 ) -> Array:
     """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a). of_rows:
     play of the wheel sensor and scales of turn rates."""
