@@ -277,7 +277,7 @@ def row(name: str, first: int, bench: Bench) -> list[Line]:
         made = bench.each(
             partial(follow_hours, first, bench.scale), 6, have, partial(spatial_rows.keep, bench)
         )
-        return list(_hours(made))
+        return hours_lines(made)
     run = partial(follow, name, first, bench.scale)
     return lines_of(bench.each(run, 12, have, partial(spatial_rows.keep, bench)))
 
@@ -349,30 +349,31 @@ def _ways(made: Sequence[Result]) -> Iterator[Line]:
             )  # fmt: skip
 
 
-def _hours(made: Sequence[Result]) -> Iterator[Line]:
+def hours_lines(made: Sequence[Result]) -> list[Line]:
     driven = [one["blocks"] for one in made if "blocks" in one]
-    yield Line("could not be driven", f"rigs {[one['rig'] for one in made if 'blocks' not in one]}")
     used = [blocks for blocks in driven if not all(block["refused"] for block in blocks)]
-    yield Line("withheld", f"{len(driven) - len(used)} of {len(driven)}")
+    lines = [
+        Line("could not be driven", f"rigs {[one['rig'] for one in made if 'blocks' not in one]}"),
+        Line("withheld", f"{len(driven) - len(used)} of {len(driven)}"),
+    ]
     if not used:
-        return
+        return lines
     for name, at in (("first block", 0), ("half of them", len(used[0]) // 2), ("end", -1)):
         error, sd, bound = (_array([blocks[at] for blocks in used], key) for key in ("error", "sd", "bound"))
         z, least = error / sd, np.maximum(1.3 * np.hypot(bound, rows.TUNING.model_sd), 0.03)
         sizes = "; ".join(
             percents(np.median(np.abs(each), axis=0).tolist(), 0) for each in (error, sd, bound)
         )
-        yield Line(
+        lines.append(Line(
             name,
             f"{int(np.sum(np.abs(z) < Z))} of {z.size} hold, z {np.mean(z):+.2f} ± {np.std(z):.2f}, largest "
             f"{np.abs(z).max():.1f}; |error|, sd, bound: {sizes}; sd over its limit {np.max(sd / least):.2f}",
             "92 %; sd ≤ 1.3 times bound with the model's part, or 3 %",
             bool(np.mean(np.abs(z) < Z) >= REACH[0] and np.all(sd <= least)), (float(np.mean(z)),),
-        )  # fmt: skip
+        ))  # fmt: skip
     changes = sum(block["changed"] for blocks in used for block in blocks)
-    yield Line(
-        "false changes of soil", f"{changes} in {sum(map(len, used))} blocks", "0", changes == 0, (changes,)
-    )
+    figure = f"{changes} in {sum(map(len, used))} blocks"
+    return [*lines, Line("false changes of soil", figure, "0", changes == 0, (changes,))]
 
 
 def _drives(made: Sequence[Result]) -> Iterator[Line]:
