@@ -74,7 +74,8 @@ class RowFitTuning:
     """No less than the past. Fifteen rows of 25 s held 24 of 24 with 3, 5 or 10; sds are smallest with 3."""
     present: float = tuned(0.9, "1", "share of the epochs that an output must have, to be used")
     zero_sd: float = tuned(math.radians(1.0), "rad", "of the wheel angle of a row that goes straight on")
-    play_sd: float = tuned(math.radians(0.1), "rad", "of half the play of the wheel sensor")
+    play_sd: float = tuned(math.radians(0.06), "rad", "rms of half the play of wheel sensors")
+    """Linkages have 0.05 to 0.2 degrees from flank to flank, worn ones more."""
     rate_scale_sd: float = tuned(0.01, "1", "of the logarithm of turn rates over true ones, of each body")
     least_telling: float = tuned(0.01, "1", "information over the prior's, of an unknown that rows can move")
     most_steps: int = tuned(12, "steps", "of the search")
