@@ -20,7 +20,7 @@ and its share: by another drive without ground, by past innovations at the truth
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -272,17 +272,19 @@ BLOCK_MINUTES: Final = 10.0
 
 def row(name: str, first: int, bench: Bench) -> list[Line]:
     """The lines of the table; drives that a file has are not made again."""
-    have = spatial_rows.kept(bench, f"{NAME} {name}", first)
+    have, usual = (spatial_rows.kept(bench, f"{NAME} {each}", first) for each in (name, "usual"))
     if name == HOURS:
         made = bench.each(
             partial(follow_hours, first, bench.scale), 6, have, partial(spatial_rows.keep, bench)
         )
         return hours_lines(made)
     run = partial(follow, name, first, bench.scale)
-    return lines_of(bench.each(run, 12, have, partial(spatial_rows.keep, bench)))
+    made = bench.each(run, 12, have, partial(spatial_rows.keep, bench))
+    return lines_of(made, {} if name == "usual" else usual)
 
 
-def lines_of(made: Sequence[Result]) -> list[Line]:
+def lines_of(made: Sequence[Result], usual: Mapping[int, Result] | None = None) -> list[Line]:
+    """usual: seed -> the same drives without what is special of these, as far as there are such."""
     driven = [one for one in made if "error" in one and not one["refused"]]
     withheld = [one for one in made if "error" in one and one["refused"]]
     lines = [
@@ -295,7 +297,7 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
     for name in ("all", *MAKES, *PLANTS):
         chosen = [one for one in driven if name in ("all", one["make"], one["plant"])]
         lines += _held(name, chosen)
-    return [*lines, *_each(driven), *_ways(driven), *_drives(driven)]
+    return [*lines, *_each(driven), *_over_usual(driven, usual or {}), *_ways(driven), *_drives(driven)]
 
 
 def _array(made: Sequence[Result], key: str) -> Array:
@@ -333,6 +335,18 @@ def _each(made: Sequence[Result]) -> Iterator[Line]:
             hits >= least * len(z) and abs(mean) <= far and middle <= wide and faults == 0,
             (hits / len(z), mean, middle, from_truth),
         )
+
+
+def _over_usual(made: Sequence[Result], usual: Mapping[int, Result]) -> Iterator[Line]:
+    both = [one for one in made if "sd" in usual.get(one["seed"], {})]
+    if both:
+        over = _array(both, "sd") / _array([usual[one["seed"]] for one in both], "sd")
+        middle, most = np.median(over, axis=0), float(over.max())
+        yield Line(
+            "sds over those of the same usual rows", f"{figures(middle.tolist())}, largest {most:.2f}",
+            "≤ 1.5",
+            bool(np.all(middle <= REACH[-1])), (most,),
+        )  # fmt: skip
 
 
 def _ways(made: Sequence[Result]) -> Iterator[Line]:

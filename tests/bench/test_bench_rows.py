@@ -65,6 +65,13 @@ def test_the_way_with_what_was_found_is_judged_by_that_with_what_is_true(found: 
     assert lines["implement's way, 30 s of a turn"].held is True
 
 
+@pytest.mark.parametrize(("over", "held"), [(1.4, True), (1.6, False)])
+def test_sds_are_compared_with_those_of_the_same_usual_rows(over: float, held: bool) -> None:
+    usual = {one["seed"]: one for one in _made(1.0, 1.2, 4)}
+    lines = {line.figure: line for line in rows.lines_of(_made(1.0, 1.2 * over, 8), usual)}
+    assert lines["sds over those of the same usual rows"].held is held
+
+
 @pytest.mark.parametrize(
     ("z", "sd", "changed", "held"),
     [(0.5, 0.12, False, [True, True]), (0.5, 0.15, False, [False, True]), (3.0, 0.12, False, [False, True]),
