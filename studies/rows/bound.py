@@ -91,7 +91,7 @@ class RowBound:
 def together(bounds: Sequence[RowBound]) -> Array:
     """Of several rows of one rig, (6,)."""
     told = np.sum([each.told for each in bounds], axis=0) + np.diag(bounds[0].known ** -2)
-    return np.sqrt(np.diag(np.linalg.inv(told))[:6])
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(told))[:6]))
 
 
 def likeliest_spread(stretches: Sequence[Array], order: int, spreads: Sequence[float]) -> float:
