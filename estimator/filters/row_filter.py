@@ -5,7 +5,8 @@ then on it is one linear map: the readings that the rig of straight_driving.py w
 the unknowns, pass through it together, as columns, in the same kernel that makes them.
 """
 
-from typing import NamedTuple
+import math
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +27,17 @@ from tilth.estimator.filters.straight_driving import (
     StraightModel,
 )
 from tilth.estimator.filters.transition import multiply
-from tilth.estimator.filters.unknowns import AT_YAW_RATE_DELAY, N_UNKNOWNS
+from tilth.estimator.filters.unknowns import AT, AT_LATENCY, AT_YAW_RATE_DELAY, N_UNKNOWNS
 from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE
 
 Array = NDArray[np.float64]
+
+
+# Unknowns of rows alone, behind those of unknowns.NAMES.
+AT_PLAY: Final = N_UNKNOWNS  # half the play of the wheel sensor, rad of its reading
+AT_RATE_SCALE: Final = N_UNKNOWNS + 1  # logarithm: turn rates over true; the tractor's, the implement's
+N_ROW_UNKNOWNS: Final = N_UNKNOWNS + 3
+ZERO: Final = AT["wheel_zero"]
 
 
 class KeptGains(NamedTuple):
@@ -52,6 +60,7 @@ class Whitened(NamedTuple):
     slots: NDArray[np.int64]  # (m,), of which output of which epoch a row is part; -1 of none
     scales: Array  # (m,), on what belongs there
     mean_reading: Array  # (1,), of the wheel angle, rad
+    flanks: Array  # (n,), of the wheel sensor's play, as wheel_play.flanks
 
 
 class RowSpeed(NamedTuple):
@@ -207,16 +216,18 @@ def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array
 def read_response(
     code: int, late: float, at: RowSpeed, model: StraightModel, z: Array, following: Array, out: Array
 ) -> None:
-    """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z."""
+    """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z. The model has slopes of the
+    first ones only; on the others it does not depend."""
     low, share = at
-    na, upper = out.shape[0] - 1, low + 1
+    na, upper = model.offsets.shape[2], low + 1
+    out[:] = 0.0
     out[0] = (1.0 - share) * model.rest[low, code] + share * model.rest[upper, code]
     for j in range(na):
         out[1 + j] = (1.0 - share) * model.offsets[low, code, j] + share * model.offsets[upper, code, j]
     for i in range(N_STRAIGHT):
         h = (1.0 - share) * model.H[low, code, i] + share * model.H[upper, code, i]
         if h != 0.0:
-            for j in range(1 + na):
+            for j in range(out.shape[0]):
                 out[j] += h * (z[i, j] + late * (following[i, j] - z[i, j]))
         by = z[i, 0] + late * (following[i, 0] - z[i, 0])
         for j in range(na):
@@ -231,7 +242,7 @@ class ResponseRun(NamedTuple):
 
     row: Whitened
     model: StraightModel
-    unknowns: Array  # (n,)
+    unknowns: Array  # (N_ROW_UNKNOWNS,)
     places: Places  # (a,)
     out: Array  # (slots, 1 + a)
     z: Array  # (14, 1 + a), the state, then the wheel angle
@@ -239,16 +250,19 @@ class ResponseRun(NamedTuple):
     D: Array  # (25, 1 + a), the filter's state
     D_following: Array  # (25, 1 + a), overwritten
     reading: Array  # (1 + a,)
-    wheel_slopes: Array  # (n,)
+    wheel_slopes: Array  # (N_ROW_UNKNOWNS,)
 
 
 @inline_kernel
 def begin_response(k: int, on: ResponseRun) -> RowSpeed:
     """The rig one tick later."""
     unknowns, now = on.unknowns, drive_at(on.row.ticks, k, on.unknowns)
-    drive = driven_by(now.u, 0.0, now.reading - on.row.mean_reading[0], now.reading_rate, unknowns)
+    flank = on.row.flanks[min(max(int(k + 0.5 - unknowns[AT_LATENCY] / DT), 0), on.row.flanks.shape[0] - 1)]
+    reading = now.reading - on.row.mean_reading[0] + unknowns[AT_PLAY] * flank
+    drive = driven_by(now.u, 0.0, reading, now.reading_rate, unknowns)
     at = find_speed(now.u, on.model.speeds)
     set_wheel_slopes(drive, unknowns, on.wheel_slopes)
+    on.wheel_slopes[AT_PLAY] = -on.wheel_slopes[ZERO] * flank
     on.z[N_STRAIGHT, 0] = drive.wheel
     for j in range(on.places.shape[0]):
         on.z[N_STRAIGHT, 1 + j] = on.wheel_slopes[on.places[j]]
@@ -271,6 +285,10 @@ def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
                 for m in range(N_STRAIGHT):
                     h = on.model.H[at.low, code, m]
                     reading[1 + j] -= h * (on.following[m, 0] - on.z[m, 0]) / DT
+        reading *= math.exp(on.unknowns[AT_RATE_SCALE + place])
+        for j in range(na):
+            if places[j] == AT_RATE_SCALE + place:
+                reading[1 + j] += reading[0]
     for m in range(n):
         h = gains.H[i, m]
         if h != 0.0:
@@ -302,14 +320,15 @@ run_response = over_ticks.with_steps(begin_tick=begin_response, take_row=take_re
 def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places, out: Array) -> None:
     """Fill out, (slots, 1 + a): the whitened response to the wheel angle less its mean, and its slopes.
 
-    unknowns: (n,), the point that `model` is of, with the wheel's zero less that mean.
+    unknowns: (N_ROW_UNKNOWNS,), the point that `model` is of, with the wheel's zero less that mean. places:
+    those of rows alone come last; `model` is of the others.
     """
     out[:] = 0.0
     columns, n = 1 + places.shape[0], row.gains.H.shape[1]
     on = ResponseRun(
         row, model, unknowns, places, out,
         np.zeros((N_STRAIGHT + 1, columns)), np.zeros((N_STRAIGHT, columns)),
-        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_UNKNOWNS),
+        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_ROW_UNKNOWNS),
     )  # fmt: skip
     run_response(row.ticks.shape[0], row.rows, on)
 
