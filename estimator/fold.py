@@ -13,6 +13,7 @@ from tilth.estimator.diagnosis import diagnosis
 from tilth.estimator.diagnosis.accepted import acceptance, corrected
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.watch import Moved
+from tilth.estimator.diagnosis.widening import OfSoil, widened
 from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
@@ -137,7 +138,15 @@ def estimates_now(state: State) -> dict[str, Estimate]:
         )
         for row in rows_for(state.machine)
     }
-    return {**now, RECOMMENDED: recommend(now, state.latest_ns, state.disagree)}
+    return {**now, RECOMMENDED: _recommended(state, now, state.latest_ns)}
+
+
+def _recommended(state: State, estimates: Mapping[str, Estimate], t_ns: int) -> Estimate:
+    """The recommended one, as wide as soil may be otherwise here than where its method has learned."""
+    best = recommend(estimates, t_ns, state.disagree)
+    if best.rule is not None and best.rule.code is Code.IN_PATCHES:
+        return best
+    return widened(OfSoil(place.elsewhere(state.estimators[place.METHOD])), best)
 
 
 def estimate_at(state: State, x: float, y: float) -> Estimate:
@@ -368,7 +377,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     if found and not state.disagree:
         _publish_event(state, t_ns, EventKind.DISAGREEMENT, reasoned(found), out)
     state.disagree = bool(found)
-    best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
+    best = state.estimates[RECOMMENDED] = _recommended(state, state.estimates, t_ns)
     out.append(Publication(t_ns, "/soil_tire", best))
 
 

@@ -4,12 +4,13 @@ The logarithms of the six at a place x are m_j + z(x) + e_j(x): m of the rig and
 machine file's; z, a soil factor that all axles share, and e, smaller, of each axle, for the three
 stiffnesses. z and e are Gaussian processes whose correlation falls with distance. How much soil differs, and
 over which length, is learned: each pair of values is a hypothesis, weighed by the marginal likelihood of what
-the windows told. With few windows many are likely, and the answer is wide.
+the windows told, and by how often fields are so. With few windows many are likely, and the answer is wide.
 
 A window tells of the mean over its path, of each axle's stiffness along the way of that axle. Errors of the
 model are common to all windows of a method: a random effect, so they do not average out.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -36,6 +37,9 @@ class SoilFieldTuning:
 
     sds: tuple[float, ...] = tuned(
         (0.05, 0.15, 0.25, 0.4, 0.6), "1", "of a stiffness' logarithm over the field"
+    )
+    beforehand: tuple[float, ...] = tuned(
+        (0.5, 0.2, 0.15, 0.1, 0.05), "1", "how probable each of these sds is before any window"
     )
     lengths_m: tuple[float, ...] = tuned((10.0, 30.0, 100.0), "m", "over which soil is alike")
     common: float = tuned(0.8, "1", "share of the variance that all axles have in common")
@@ -191,14 +195,25 @@ class Variogram(NamedTuple):
     sd: float
     length_m: float
     correlation: Callable[[Array, float], Array] = exponential
+    beforehand: float = 1.0  # how probable it is before any window, over that of another
+
+    @property
+    def kind(self) -> tuple[float, Callable[[Array, float], Array]]:
+        """What those have in common that differ in the sd alone."""
+        return self.length_m, self.correlation
 
 
-VARIOGRAMS: Final = tuple(Variogram(sd, length) for length in SOIL_FIELD.lengths_m for sd in SOIL_FIELD.sds)
+VARIOGRAMS: Final = tuple(
+    Variogram(sd, length, beforehand=probable)
+    for length in SOIL_FIELD.lengths_m
+    for sd, probable in zip(SOIL_FIELD.sds, SOIL_FIELD.beforehand, strict=True)
+)
 
 
 class _Hypothesis(NamedTuple):
     soil: Variogram
     weight: float
+    score: float  # logarithm of the likelihood of what was told, with how probable it was before
     root: Array  # (r, r), lower, of the covariance of what was told
     alpha: Array  # (r,), its inverse times what was told
     distance: float  # squared, of what was told from what was thought before
@@ -213,7 +228,7 @@ class SoilMemory:
     def __init__(
         self, windows: Sequence[SoilWindow], prior_sd: Array, variograms: Sequence[Variogram] = VARIOGRAMS
     ) -> None:
-        """prior_sd: (n,), of the machine file. variograms: hypotheses, each as likely before any window."""
+        """prior_sd: (n,), of the machine file. variograms: hypotheses."""
         self.windows, self.prior_sd, self.variograms = windows, prior_sd[SIX], variograms
         paths = np.array([window.path for window in windows]).reshape(-1, SOIL_FIELD.points, AXLES, 2)
         self._places = paths.transpose(0, 2, 1, 3)  # (windows, 3, points, 2)
@@ -260,11 +275,11 @@ class SoilMemory:
         }
         found, logs = [], []
         for one in self.variograms:
-            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one[1:]]), np.float64)
+            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            logs.append(-0.5 * distance - float(np.sum(np.log(np.diag(root)))))
-            found.append(_Hypothesis(one, 0.0, root, alpha, distance))
+            logs.append(math.log(one.beforehand) - 0.5 * distance - float(np.sum(np.log(np.diag(root)))))
+            found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0
         return [h._replace(weight=w) for h, w in zip(found, (weights / weights.sum()).tolist(), strict=True)]
@@ -272,7 +287,7 @@ class SoilMemory:
     @cached_property
     def _kinds(self) -> dict[tuple[float, Callable[[Array, float], Array]], Variogram]:
         """One of those that have a correlation in common."""
-        return {one[1:]: one for one in self.variograms}
+        return {one.kind: one for one in self.variograms}
 
     @property
     def _between_epochs(self) -> Array:
@@ -306,13 +321,27 @@ class SoilMemory:
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
         near = self._near(place)
         for one in self._hypotheses:
-            cross, own = self._with(near[one.soil[1:]], one.soil.sd)
+            cross, own = self._with(near[one.soil.kind], one.soil.sd)
             there = cross.T @ one.alpha
             mean += one.weight * there
             second += one.weight * (own - cross.T @ one.solve(cross) + np.outer(there, there))
             length += one.weight * one.soil.length_m
         covariance = second - np.outer(mean, mean)
         return At(mean, (covariance + covariance.T) / 2.0, length)
+
+    def elsewhere(self, place: Array) -> Array:
+        """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what
+        is learned without place has this error besides. Of the stiffnesses."""
+        there, near = self.at(place), self._near(place)
+        same = (one for one in self._scored if one.soil.sd == min(SOIL_FIELD.sds))
+        one = max(same, key=lambda hypothesis: hypothesis.score)
+        cross, own = self._with(near[one.soil.kind], one.soil.sd)
+        off = there.mean - cross.T @ one.alpha
+        added = there.covariance + np.outer(off, off) - (own - cross.T @ one.solve(cross))
+        sizes, axes = np.linalg.eigh(added[:AXLES, :AXLES])
+        left = np.zeros((6, 6))
+        left[:AXLES, :AXLES] = axes * np.maximum(sizes, 0.0) @ axes.T
+        return left
 
     def _near(self, place: Array) -> dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]:
         """Of each kind: correlation of what was told with the soil of each axle at a place, (r, 3), and of
@@ -338,7 +367,7 @@ class SoilMemory:
         """By how much the chosen windows, then the others, narrow the stiffnesses at a place, over their
         prior's sd, and what is left of it; mean of the three. They add up to 1."""
         one = max(self._hypotheses, key=lambda hypothesis: hypothesis.weight)
-        cross, own = self._with(self._near(place)[one.soil[1:]], one.soil.sd)
+        cross, own = self._with(self._near(place)[one.soil.kind], one.soil.sd)
         rows = np.flatnonzero(np.array(chosen)[self._directions[0]])
         told = one.root[rows] @ one.root[rows].T
         by_chosen = cross[rows].T @ np.linalg.solve(told, cross[rows])
