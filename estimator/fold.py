@@ -18,7 +18,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, place, rows, tracker
+from tilth.estimator.methods import open_tracker, place, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -388,12 +388,14 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         return out
     method_state = state.estimators[method]
     foreseen = False
-    for other in rows_for(state.machine):
-        if other.learn is not None and made is not None and method_state.job is not None:
-            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
-            _publish_events(state, t_ns, other, out, foreseen=False)
-    if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
-        diagnosis.fit_tells(state.diagnosis, method, made.of_file, made.seconds)
+    if made is not None and method_state.job is not None:
+        for other in rows_for(state.machine):
+            if other.learn is not None:
+                foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
+                _publish_events(state, t_ns, other, out, foreseen=False)
+        of_file = row.fitting.of_file(made)
+        if of_file is not None:
+            diagnosis.fit_tells(state.diagnosis, method, *of_file)
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     _publish_events(state, t_ns, row, out, foreseen)
     _publish_estimates(state, t_ns, [estimate], out)

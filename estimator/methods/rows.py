@@ -171,6 +171,11 @@ def fit(machine: Machine, job: Job) -> Fit:
     )  # fmt: skip
 
 
+def tells_of_file(made: Fit) -> tuple[Misfit, float] | None:
+    """What a fit tells of the machine file, and s of driving that this is of."""
+    return None if made.of_file is None else (made.of_file, made.seconds)
+
+
 def _of_file(machine: Machine, found: row_fit.RowPosterior) -> Misfit:
     """What would be found were the numbers of the file as open as in the open tracker: the search ends there
     but for a step, since it is by information that the posterior is wider then."""
