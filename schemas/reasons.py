@@ -98,7 +98,7 @@ class Code(StrEnum):
     WIDENED = "widened"
     """There is a number. of: a key of the machine file. numbers: sd of the logarithm that is added for it."""
     OTHER_SOIL = "other_soil"
-    """There is a number. numbers: sd of the logarithm, as soil may be otherwise here than where it is from."""
+    """There is a number. numbers: sd of its logarithm: soil may be otherwise here than where it is from."""
     NOT_KNOWN_HERE = "not_known_here"
     """numbers: the same, where it is too large for a number."""
 

@@ -44,7 +44,7 @@ class WideningTuning:
     withdrawn: float = tuned(1.2, "1", "factor on that limit for a number that was given before")
     said: float = tuned(1.2, "1", "factor from which the reason says by what a number is widened")
     elsewhere: float = tuned(
-        0.42, "1", "sd of a logarithm above which a number of other soil is not given: `place` gives none either"
+        0.42, "1", "sd of a logarithm above which a number of other soil is not given, nor by `place`"
     )
     confirmed: float = tuned(
         0.2, "1", "largest sd of C_af, C_ar and C_ai by the file with which it is confirmed"
@@ -96,7 +96,7 @@ class Widening:
 
 @dataclass(frozen=True, slots=True)
 class OfSoil:
-    """What soil does that may be otherwise here than where a method has learned, as `Widening` of the file."""
+    """What other soil here than where a method has learned does to the six, as `Widening` of the file."""
 
     covariance: Array  # (6, 6), of logarithms
 
@@ -141,8 +141,8 @@ def _probabilities(log_factors: Array, often: Array) -> Array:
 
 
 def widened(widening: Widening | OfSoil, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
-    """An estimate as wide as file or soil may be otherwise; without the numbers that this leaves useless. had:
-    which of the six it had before; these are withdrawn later than new ones are given."""
+    """An estimate as wide as file or soil may be otherwise; without the numbers that this leaves useless.
+    had: which of the six it had before; these are withdrawn later than new ones are given."""
     if not estimate.log_covariance or not widening.covariance.any():
         return estimate
     covariance = np.reshape(estimate.log_covariance, (6, 6)) + widening.covariance
@@ -175,9 +175,7 @@ def _over_mass(
     return (value, value * total) if total <= widening.limit(sd / value, had) else (None, None)
 
 
-def _parameter(
-    widening: Widening | OfSoil, k: int, given: ParameterEstimate, had: bool
-) -> ParameterEstimate:
+def _parameter(widening: Widening | OfSoil, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
     if given.value is None or given.sd is None:
         return given
     own = given.sd / given.value
@@ -191,4 +189,3 @@ def _parameter(
 def _of_combination(widening: Widening | OfSoil, one: Combination) -> float:
     weights = np.array(one.exponents)
     return math.sqrt(one.log_sd**2 + float(weights @ widening.covariance @ weights))
-

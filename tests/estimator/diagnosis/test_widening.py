@@ -250,7 +250,7 @@ def test_what_was_known_holds_until_a_restarted_open_tracker_has_learned_again()
     ("own", "soil", "code"),
     [(0.1, 0.05, None), (0.1, 0.2, Code.OTHER_SOIL), (0.1, 0.5, Code.NOT_KNOWN_HERE), (0.4, 0.0, None)],
 )
-def test_soil_that_may_be_otherwise_here_widens_stiffnesses(own: float, soil: float, code: Code | None) -> None:
+def test_soil_that_may_be_otherwise_here_widens(own: float, soil: float, code: Code | None) -> None:
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = soil**2
     said, one = estimate(own), widened(OfSoil(covariance), estimate(own))
