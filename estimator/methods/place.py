@@ -24,7 +24,7 @@ from tilth.estimator.methods import pem, rows
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.record.record import Record
 from tilth.estimator.results.method_state import MethodState, SixState, is_due, step_clock
-from tilth.estimator.results.recommend import PATCHY, WINDOWS
+from tilth.estimator.results.recommend import PATCHY
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
@@ -53,7 +53,7 @@ class PlaceTuning:
     patchy: float = tuned(
         0.95, "1", "probability of patches with which a change from place to place is no news"
     )
-    known_sd: float = tuned(0.2, "1", "of the factor common to stiffnesses, with which a place is known")
+    known_sd: float = tuned(0.15, "1", "of the factor common to stiffnesses, with which a place is known")
     unexpected: float = tuned(1e-4, "1", "probability of what a window tells: the soil has changed in time")
     doubted: float = tuned(1e-2, "1", "probability of it, if pem finds that the soil has changed")
 
@@ -288,11 +288,17 @@ def estimate_at(
         mean, covariance, state.prior_mean, state.prior_sd,
         informed_ns=state.informed_ns if of_place else 0, window_s=state.window_s, has_number=had,
     )  # fmt: skip
-    excitation = {WINDOWS: float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
+    excitation = {"windows": float(len(state.windows)), "pass": float(state.passing), PATCHY: patchy}
     made = six_parameter_estimate(
         learned, machine, t_ns, METHOD, covariance[SIX, SIX], Code.NOTHING_FITTED, excitation, None, None
     )
     return replace(made, of_place=of_place)
+
+
+def elsewhere(state: PlaceState) -> Array:
+    """How much more uncertain the six, (6, 6), are here for a method that knows no place."""
+    known = state.axles is not None and bool(state.windows)
+    return _soil(state).elsewhere(state.axles) if known else np.zeros((6, 6))
 
 
 def _soil(state: PlaceState) -> SoilMemory:

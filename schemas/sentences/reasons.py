@@ -104,6 +104,8 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "to and fro by 3° or more at working speed, for {n[1]:.0f} s"
     ),
     Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
+    Code.OTHER_SOIL: "soil may be otherwise here than where this is from: {n[0]:share}",
+    Code.NOT_KNOWN_HERE: "soil may be otherwise here than where it was learned, which leaves {n[0]:share}",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: (
