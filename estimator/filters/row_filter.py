@@ -345,5 +345,5 @@ def rehearse() -> None:
         speeds, np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1, 1)),
         np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[:2]), np.zeros((*shape[:2], 1)),
     )  # fmt: skip
-    row = Whitened(ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1))
+    row = Whitened(ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1), np.zeros(1))
     respond(row, straight, unknowns, places, np.zeros((0, 2)))
