@@ -95,7 +95,9 @@ def test_hours_of_what_one_row_told_hold_and_change_nothing() -> None:
     state = methods_rows.initial(machine)
     row = state.covariance.copy()
     row[:6, :6] *= 0.2**2
-    made = [{"rig": k, "blocks": row_hours.in_pieces(machine, row, 5.0, 2400.0, 20, k)} for k in range(20)]
+    made: list[dict[str, Any]] = [
+        {"rig": k, "blocks": row_hours.in_pieces(machine, row, 5.0, 2400.0, 20, k)} for k in range(20)
+    ]
     z = np.array([np.divide(one["blocks"][-1]["error"], one["blocks"][-1]["sd"]) for one in made])
     assert np.mean(np.abs(z) < 1.96) > 0.88 and 0.7 < np.std(z) < 1.3
     assert not any(block["changed"] for one in made for block in one["blocks"])
