@@ -52,7 +52,6 @@ from studies.rows.own_share import own_of
 from studies.rows.study import longest
 from tilth.analysis.fit.rig import fitted_rig
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, concatenate
 from tilth.estimator.results.method_state import drifted
@@ -213,7 +212,8 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
 
 def ways_on(rig: FleetRig, row: Scenario, file: Machine, found: Array) -> dict[str, list[float]]:
     """rms distance of the implement from its true way, m, over WAY_S of another row and of a headland turn:
-    with what was found, (n,) of unknowns.NAMES, with what is true, and with what the file says."""
+    with the six that were found, those that are true, and those that the file says, all else as it is. found:
+    (n,) of unknowns.NAMES."""
     machine, way = true_machine(rig), {}
     field = Fieldwork(length=40.0, turns=headlands_of(rig), position_sd=0.008, autosteer=Autosteer("pid"))
     for name, steering, seconds in (("row", row.steering, 2 * WAY_S), ("turn", field, 4 * WAY_S)):
@@ -227,13 +227,11 @@ def ways_on(rig: FleetRig, row: Scenario, file: Machine, found: Array) -> dict[s
         parts = [concatenate(usable[k : k + count]) for k in range(0, len(usable) - count + 1, 10)]
         record = max(parts, key=lambda part: float(np.ptp(part.ticks[:, WHEEL_ANGLE])))
         true, at_s = Way(truth.time, truth.states, truth.rig), run.seconds_of(record.t_ns)
-        zero, prior = truth.nuisances["wheel_zero"], unknowns.prior(file)[0]
-        rigs = [
-            (fitted_rig(file, found), float(np.exp(found[AT["wheel_gain"]]))),
-            (truth.rig, truth.nuisances["wheel_gain"]),
-            (fitted_rig(file, prior), 1.0),
-        ]
-        way[name] = [distances(true, record, at_s, by, (zero, gain), level=True)[1] for by, gain in rigs]
+        wheel = truth.nuisances["wheel_zero"], truth.nuisances["wheel_gain"]
+        made = [fitted_rig(file, point) for point in (found, unknowns.prior(file)[0])]
+        by_six = [truth.rig._replace(**{name: getattr(one, name) for name in PARAMETERS}) for one in made]
+        rigs = by_six[0], truth.rig, by_six[1]
+        way[name] = [distances(true, record, at_s, one, wheel, level=True)[1] for one in rigs]
     return way
 
 
