@@ -11,14 +11,21 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel
 from tilth.estimator.filters.gates import GATES, UNLIMITED
 from tilth.estimator.filters.joint_update import JointState, UpdateWork, correct, empty_work
 from tilth.estimator.filters.measurement_model import between, noise_factor
 from tilth.estimator.filters.record_loop import over_ticks
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, driven_by, set_wheel_slopes
 from tilth.estimator.filters.states import DT, Places
-from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
+from tilth.estimator.filters.straight_driving import (
+    KEPT,
+    N_SENSORS,
+    N_STRAIGHT,
+    PLACES,
+    FilterModel,
+    StraightModel,
+)
 from tilth.estimator.filters.transition import multiply
 from tilth.estimator.filters.unknowns import AT, AT_LATENCY, AT_YAW_RATE_DELAY, N_UNKNOWNS
 from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE
@@ -108,7 +115,7 @@ class GainRun(NamedTuple):
     F_T: Array  # (25, 25), overwritten
 
 
-@inner_kernel
+@inline_kernel
 def begin_gains(k: int, on: GainRun) -> None:
     """The filter at the speed of tick k."""
     model = on.model
@@ -118,7 +125,7 @@ def begin_gains(k: int, on: GainRun) -> None:
     mix(model.H, at, on.sensors)
 
 
-@inner_kernel
+@inline_kernel
 def take_gain(i: int, k: int, none: None, on: GainRun) -> None:
     """Update the filter with a row, but if it is an outlier, and keep its gain."""
     row, state, out, error, H = on.rows[i], on.state, on.out, on.error, on.H
@@ -139,7 +146,7 @@ def take_gain(i: int, k: int, none: None, on: GainRun) -> None:
         state.x[j] += on.work.gain[0, j] * error[0]
 
 
-@inner_kernel
+@inline_kernel
 def end_gains(none: None, on: GainRun) -> None:
     """Propagate state and covariance."""
     x, following, P, F = on.state.x, on.state.following, on.state.P[0], on.F
@@ -158,7 +165,6 @@ def end_gains(none: None, on: GainRun) -> None:
 run_gains = over_ticks.with_steps(begin_tick=begin_gains, take_row=take_gain, end_tick=end_gains)
 
 
-@kernel
 def set_gains(
     ticks: Array, rows: Array, readings: Array, unknowns: Array, model: FilterModel, settling: int,
     out: KeptGains,
@@ -191,7 +197,7 @@ def step_columns(table: Array, at: RowSpeed, z: Array, following: Array) -> None
                     following[i, j] += factor * z[k, j]
 
 
-@inner_kernel
+@inline_kernel
 def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array) -> None:
     """Fill following, (13, 1 + a): state, and its slopes, one tick after z, (14, 1 + a), whose last row is
     the wheel angle."""
@@ -206,7 +212,7 @@ def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array
                 ) * z[k, 0]
 
 
-@inner_kernel
+@inline_kernel
 def read_response(
     code: int, late: float, at: RowSpeed, model: StraightModel, z: Array, following: Array, out: Array
 ) -> None:
@@ -247,7 +253,7 @@ class ResponseRun(NamedTuple):
     wheel_slopes: Array  # (N_ROW_UNKNOWNS,)
 
 
-@inner_kernel
+@inline_kernel
 def begin_response(k: int, on: ResponseRun) -> RowSpeed:
     """The rig one tick later."""
     unknowns, now = on.unknowns, drive_at(on.row.ticks, k, on.unknowns)
@@ -264,7 +270,7 @@ def begin_response(k: int, on: ResponseRun) -> RowSpeed:
     return at
 
 
-@inner_kernel
+@inline_kernel
 def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
     """What the rig gives in the place of a row, through the filter."""
     row, gains, places, reading, D = on.row.rows[i], on.row.gains, on.places, on.reading, on.D
@@ -297,7 +303,7 @@ def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
             on.out[slot, j] += on.row.scales[i] * reading[j]
 
 
-@inner_kernel
+@inline_kernel
 def end_response(at: RowSpeed, on: ResponseRun) -> None:
     """On to the next tick."""
     step_columns(on.row.filter.F, at, on.D, on.D_following)
@@ -311,7 +317,6 @@ def end_response(at: RowSpeed, on: ResponseRun) -> None:
 run_response = over_ticks.with_steps(begin_tick=begin_response, take_row=take_response, end_tick=end_response)
 
 
-@kernel
 def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places, out: Array) -> None:
     """Fill out, (slots, 1 + a): the whitened response to the wheel angle less its mean, and its slopes.
 
@@ -326,3 +331,19 @@ def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places
         np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_ROW_UNKNOWNS),
     )  # fmt: skip
     run_response(row.ticks.shape[0], row.rows, on)
+
+
+def rehearse() -> None:
+    """Compile both loops, by runs over one tick without a row. They call nothing of the rig's motion."""
+    n, outputs, speeds, ticks, rows = len(KEPT), N_SENSORS, np.arange(2.0), np.zeros((1, 8)), np.zeros((0, 6))
+    of_all, unknowns, places = np.zeros((2, n, n)), np.zeros(N_UNKNOWNS), np.zeros(1, np.int64)
+    model = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n))
+    gains = KeptGains(rows[:, 0].copy(), rows[:, 0].copy(), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0))
+    set_gains(ticks, rows, np.zeros(0), unknowns, model, 0, gains)
+    shape = (2, outputs, N_STRAIGHT)
+    straight = StraightModel(
+        speeds, np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1, 1)),
+        np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[:2]), np.zeros((*shape[:2], 1)),
+    )  # fmt: skip
+    row = Whitened(ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1), np.zeros(1))
+    respond(row, straight, unknowns, places, np.zeros((0, 2)))

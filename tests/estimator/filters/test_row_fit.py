@@ -151,6 +151,7 @@ def test_play_of_the_wheel_sensor_is_found_and_moves_no_stiffness(monkeypatch: p
     assert found(ticks).mean[0] - even.mean[0] > 0.3  # where it is no unknown
 
 
+@pytest.mark.long
 def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
     """Of tyres that are far from the prior's; two rows together."""
     ratios = []

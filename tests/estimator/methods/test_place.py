@@ -110,6 +110,30 @@ def test_the_second_pass_knows_the_wet_end_before_it_gets_there() -> None:
     assert np.all(sds(there)[:3] < 0.3)
 
 
+def test_what_is_recommended_away_from_its_window_is_as_wide_as_soil_may_differ() -> None:
+    state = fold.initial(MACHINE)
+    memory, found = state.estimators["place"], state.estimators["pem"]
+
+    def widened(t_ns: int, north: float) -> float:
+        drive(memory, t_ns, north, metres=14.0)
+        known = fold.estimates_now(state)
+        before, after = (sds(known[method]) for method in ("pem", "recommended"))
+        assert after[3:] == pytest.approx(before[3:])
+        return float(np.sqrt(np.mean(after[:3] ** 2 - before[:3] ** 2)))
+
+    assert widened(2 * S, 0.0) == 0.0  # before any window pem has nothing to say
+    for k, (north, alike) in enumerate([(0.0, False), *[(200.0 * (k % 2), True) for k in range(1, 12)]]):
+        t_ns = (10 + 100 * k) * S
+        drive(memory, t_ns, north, 6.0 * k, metres=14.0)
+        found.job, made = fit_of(memory, t_ns, 14.0, 0.02 * (-1) ** k, 0.05)
+        covariance = np.diag(np.where(np.arange(len(made.mean)) < 6, 0.05**2, np.diag(made.covariance)))
+        fold.adopt(state, t_ns + 20 * S, "pem", replace(made, covariance=covariance))
+        if not alike:
+            near, far = widened(t_ns + 30 * S, 7.0), widened(t_ns + 50 * S, 200.0)
+            assert near < 0.17 < 0.2 < far
+    assert widened(2000 * S, 100.0) < 0.05  # what is the same at both ends for so long is so between them
+
+
 def test_a_block_that_is_fitted_again_counts_once() -> None:
     state = place.initial(MACHINE)
     drive(state, 10 * S, 0.0)
