@@ -377,7 +377,7 @@ class SoilMemory:
             key: (self._placed @ one.correlation(apart, one.length_m), one.correlation(own, one.length_m))
             for key, one in self._kinds.items()
         }
-        return _Near(kinds, np.kron(np.eye(AXLES), _headings(there)))
+        return _Near(kinds, np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64))
 
     def _with(self, near: "_Near", soil: Variogram) -> tuple[Array, Array]:
         """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
