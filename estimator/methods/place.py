@@ -263,8 +263,9 @@ def estimate_at(
 
 def elsewhere(state: PlaceState) -> Array:
     """How much more uncertain the six, (6, 6), are here for a method that knows no place."""
-    known = state.axles is not None and bool(state.windows)
-    return _soil(state).elsewhere(state.axles) if known else np.zeros((6, 6))
+    if state.axles is None or not state.windows:
+        return np.zeros((6, 6))
+    return _soil(state).elsewhere(state.axles)
 
 
 def _soil(state: PlaceState) -> SoilMemory:

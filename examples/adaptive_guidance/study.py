@@ -109,7 +109,9 @@ def driven(
         raise RuntimeError(f"the steering refused {trace.refused}; the run ended: {trace.ended}")
     error, at = cross_track(line, truth)
     row = line.row[at]
-    after = np.abs(row) >= LEARNED if patches else truth.implement.y[::EVERY] > middle(work)
+    after = truth.implement.y[::EVERY] > middle(work)
+    if patches:
+        after = (np.abs(row) >= LEARNED) & (at < len(line.row) - 20)  # behind which it brakes
     return DrivenPath(truth.time[::EVERY], error, row, after, trace.estimates)
 
 
