@@ -81,7 +81,7 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = ()) -> Widening
     noise = birge * misfit.alone**2
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise
     log_factors = 0.5 * (share * chi_square / birge - np.log1p(_WRONG_BY / noise))
-    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN)
+    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN) if known else _OFTEN
     of_noise, error = share * noise, (share * misfit.found) ** 2
     parts = misfit.moves * np.sqrt(_probabilities(log_factors, often) * (of_noise + error))
     by = np.argmax(np.abs(parts), axis=1)
