@@ -34,6 +34,7 @@ ROOMS = {
         "runs",
         "response",
         "fit",
+        "workers",
         "validation",
         "experiment",
         "",
@@ -41,6 +42,7 @@ ROOMS = {
         "report",
         "calibration",
         "sensitivity",
+        "season",
     ),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""

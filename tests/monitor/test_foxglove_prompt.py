@@ -87,8 +87,11 @@ def say(ours: zenoh.Session, server: FoxgloveServer, message: pb.ExperimentState
     until(lambda: server.served > served)
 
 
-def drive_on(ours: zenoh.Session, runner: PlanRunner, turn: int) -> pb.ExperimentState:
-    """One pose more, straight on; what the prompter shows then."""
+def drive_on(
+    ours: zenoh.Session, server: FoxgloveServer, runner: PlanRunner, turn: int
+) -> pb.ExperimentState:
+    """One pose more, straight on; what the prompter shows then, once the server has it: poses and prompts
+    come on two keys, and by a pose 2 s ahead of the last prompt nobody prompts any more."""
     t_s = turn * POSE_S
     told = pose(START_NS + round(1e9 * t_s), Point(SPEED * t_s, 0.0, 0.0, 0.0, 0.0), "", wheel=WHEEL)
     ours.put(f"{BASE}/pose", CHANNEL["/pose"].encode(told), encoding=CHANNEL["/pose"].encoding)
@@ -99,16 +102,19 @@ def drive_on(ours: zenoh.Session, runner: PlanRunner, turn: int) -> pb.Experimen
         return runner.prompt.track[-1:] != () and runner.prompt.track[-1].t_s >= told.t_ns * 1e-9
 
     until(taken)
+    until(lambda: server._prompted_ns >= states[-1].t_ns)
     return states[-1]
 
 
-def drive_into_a_run(ours: zenoh.Session, runner: PlanRunner, into_s: float) -> list[pb.ExperimentState]:
+def drive_into_a_run(
+    ours: zenoh.Session, server: FoxgloveServer, runner: PlanRunner, into_s: float
+) -> list[pb.ExperimentState]:
     """All that was shown with each pose, from the first one on."""
-    states = [drive_on(ours, runner, 1)]
+    states = [drive_on(ours, server, runner, 1)]
     runner.order(ARM)
     while states[-1].phase != RUNNING or states[-1].at_s < into_s:
         assert len(states) < 400, states[-1].text
-        states.append(drive_on(ours, runner, len(states) + 1))
+        states.append(drive_on(ours, server, runner, len(states) + 1))
     return states
 
 
@@ -117,11 +123,11 @@ def run() -> tuple[list[pb.ExperimentState], list[tuple[int, Any]], dict[str, An
     """What a prompter showed, what a viewer had (time, message), what the server says of itself, and the keys
     on which anything was said."""
     keys: set[str] = set()
-    with watching() as (ours, _, viewer):
+    with watching() as (ours, server, viewer):
         said = ours.declare_subscriber("**", lambda sample: keys.add(str(sample.key_expr)))
         marks = ours.declare_queryable(f"{BASE}/mark", lambda query: query.reply(query.key_expr, b""))
         with closing(PrompterWires(ours, BASE)) as wires:
-            states = drive_into_a_run(ours, PlanRunner(wires, course_of(PLAN, TABLE_5_1)), 3.0)
+            states = drive_into_a_run(ours, server, PlanRunner(wires, course_of(PLAN, TABLE_5_1)), 3.0)
             last = states[-1].t_ns
             viewer.hear_until(lambda: viewer.heard[TOPIC][-1:] != [] and viewer.heard[TOPIC][-1][0] >= last)
             had = [
