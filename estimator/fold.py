@@ -180,7 +180,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
         silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, silence)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
-    now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
+    now_ns = frame.rx_ns if frame.rx_ns < frame.t_ns else frame.t_ns  # not received after the loop took it
     if state.recognition.before:
         _recall_addresses(state, frame, out)
     position_taken = False

@@ -190,7 +190,8 @@ class GuardedFold:
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """The publications that a frame causes, each with its bytes as logged and published."""
-        if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
+        resume_ns = self._resume_ns
+        if frame.t_ns < resume_ns and frame.t_ns >= resume_ns - PAUSE_NS:  # not of a clock that stepped back
             return []
         try:
             publications = []

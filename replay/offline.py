@@ -206,20 +206,24 @@ class _Run:
             self._say(f"{log.path}: {gap}")
 
     def _records(self, log: OpenLog, buses: Mapping[str, str]) -> None:
-        pace, progress, summary = self._outputs.pace, self._outputs.progress, self.summary
+        writer, pace, progress = self._outputs.writer, self._outputs.pace, self._outputs.progress
+        summary, goes_on = self.summary, self.fitter.holds_outcomes  # a clock of tilth's is never set
         time, before_ns = LogTime(), summary.duration_ns
         for record in on_buses_of(self._machine, log, buses, self._say):
             if self._anew and not isinstance(record, Gap):
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
                 log_time.take_stamp(time, record)
-                # A clock of tilth's is never set.
-                even_ns = time.silent_ns if self.fitter.holds_outcomes else 0
-                summary.duration_ns = before_ns + time.passed_ns + even_ns
+                summary.duration_ns = before_ns + time.passed_ns + (time.silent_ns if goes_on else 0)
                 if pace is not None:
                     pace(time.latest_ns)
                 summary.frames += 1
-                self._frame(record)
+                if writer is not None:
+                    writer.frame(record)
+                fold = self._fold
+                self._waited += not fold.state.ready
+                if given := fold.take(record):
+                    self._put(given)
                 if progress is not None and summary.frames % PROGRESS_FRAMES == 0:
                     progress(self._read_bytes + log.position())
             else:
@@ -259,13 +263,6 @@ class _Run:
             self._outputs.comparison.lose_track()
         self._put([(event, payload(event))])
         self._fold.ready = True  # that they became so may be what is missing
-
-    def _frame(self, frame: Frame) -> None:
-        if self._outputs.writer is not None:
-            self._outputs.writer.frame(frame)
-        self._waited += not self._fold.ready
-        if given := self._fold.take(frame):
-            self._put(given)
 
     def _fit(self, record: Logged) -> None:
         """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""
@@ -314,14 +311,13 @@ class _Run:
         writer, publish = self._outputs.writer, self._outputs.publish
         comparison = self._outputs.comparison
         for publication, data in publications:
-            topic = publication.topic
-            value = publication.value
-            if isinstance(value, Event):
+            topic, value = publication.topic, publication.value
+            if isinstance(value, Pose):
+                self._flag(value)
+            elif isinstance(value, Event):
                 self.summary.events.append(value)
                 if value.kind in REPORTED_KINDS:
                     self._say(event_sentence(value))
-            elif isinstance(value, Pose):
-                self._flag(value)
             if writer is not None:
                 writer.message(topic, publication.t_ns, data)
             if publish is not None:

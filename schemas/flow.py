@@ -8,12 +8,13 @@ clockwise from north, right turns and right-hand wheel angles positive, roll pos
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import IntEnum, StrEnum
 from typing import Final
 
 from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Combination, Reason
+from tilth.schemas.values import dataclass
 
 Word = float | int | str
 

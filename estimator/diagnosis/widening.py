@@ -122,7 +122,7 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit
         found, noise = np.where(BY_FIT, fit.found, found), np.where(BY_FIT, fit.alone**2, noise)
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise
     log_factors = 0.5 * (share * found**2 / noise - np.log1p(_WRONG_BY / noise))
-    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN)
+    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN) if known else _OFTEN
     of_noise, error = share * noise, (share * found) ** 2
     parts = misfit.moves * np.sqrt(_probabilities(log_factors, often) * (of_noise + error))
     by = np.argmax(np.abs(parts), axis=1)
