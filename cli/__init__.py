@@ -31,6 +31,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
     ("mark", "note an event in the log of the daemon that runs"),
     ("accept", "accept what the daemon that runs has found moved as it is now"),
+    ("implement", "say which implement is hitched on"),
     ("logs", "list the runs in a log folder, mark those to be kept, add notes"),
     ("offload", "copy finished runs to a stick or another folder, verified"),
     ("verify", "read logs fully, and say what is missing or wrong in them"),

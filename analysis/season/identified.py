@@ -150,7 +150,10 @@ class _HeardFits:
         again = (method, records[0].t_ns)
         self._kept = [(w, one) for w, one in self._kept if (one.method, one.begin_ns) != again]
         if window is not None and made.refused is None:
-            still = {id(w) for w in place.of_other_driving(self._windows, window, records)}
+            stay = place.beside(self._windows, window, place.in_rows(memory, window, records))
+            if stay is None:
+                return  # this driving is told of already
+            still = {id(w) for w in stay}
             self._kept = [(w, one) for w, one in self._kept if w is None or id(w) in still]
         elif made.refused is None:
             return  # nobody knows where it was

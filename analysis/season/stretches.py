@@ -94,10 +94,13 @@ class SeasonRow:
 
 def rig_of(machine: Machine) -> DrivenRig:
     """By what moves it."""
-    said = [part.model_dump(mode="json") for part in (machine.tractor, machine.implement, machine.tyres)]
+    parts = (machine.tractor, machine.implement, machine.tyres)
+    said = [part.model_dump(mode="json", exclude={"name", "names"}) for part in parts]
     sha256 = hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
     implement = machine.implement
     words = f"{implement.mass.value:.0f} kg, d = {implement.d.value:.2f} m"
+    if implement.name:
+        words = f"{implement.name} ({words})"
     return DrivenRig(machine.machine.name, words, sha256)
 
 
@@ -135,8 +138,8 @@ def _tell_one_name(runs: Sequence[DrivenRun]) -> None:
     """Two machines, or two implements, that have one name."""
     by_name: dict[str, list[DrivenRun]] = {}
     for one in runs:
-        if one.rig is not None:
-            by_name.setdefault(one.rig.machine, []).append(one)
+        if one.machine is not None:
+            by_name.setdefault(one.machine.rig, []).append(one)
     for name, same in by_name.items():
         of_time = [one for one in same if one.begins_ns]
         for before, one in itertools.pairwise(of_time):
