@@ -14,7 +14,7 @@ from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import ReplayedFits
-from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.guarded_fold import GuardedFold, HearFit
 from tilth.logger.log.mcap_log import LogWriter
 from tilth.replay.compare import COMPARED, Comparison
 from tilth.replay.readers.any_log import metadata, open_log, place
@@ -72,6 +72,9 @@ class ReplaySummary:
     flags: dict[str, Flagged] = field(default_factory=dict)
     unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
     left_out: list[str] = field(default_factory=list)  # of rejected["other_time"]: whose frames, in words
+    confirmed: bool = False  # whether the data confirm the machine file, at the end
+    contradicted: list[str] = field(default_factory=list)  # what of it they contradict then, in sentences
+    moved: list[str] = field(default_factory=list)  # what has moved and was neither accepted nor put back
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +86,7 @@ class ReplayOutputs:
     comparison: Comparison | None = None
     pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
     progress: Callable[[int], None] | None = None  # takes the number of bytes read so far
+    fit: HearFit | None = None  # told of each fit before it is used
 
 
 class Pace:
@@ -171,7 +175,9 @@ class _Run:
         self._unknown_before = self._unknown_now()
 
     def _new_fold(self, state_json: str | None = None) -> GuardedFold:
-        return GuardedFold(self._machine, state_json, self.fitter, encoded=self._encoded)
+        return GuardedFold(
+            self._machine, state_json, self.fitter, encoded=self._encoded, hear_fit=self._outputs.fit
+        )
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
         comparison = self._outputs.comparison
@@ -402,6 +408,9 @@ class _Run:
         for (kind, reason), count in self._counts.items():
             if kind == "rejected" and count > 0:
                 self.summary.rejected[reason] = count
+        self.summary.confirmed = self._fold.confirmed
+        self.summary.contradicted = self._fold.contradicted
+        self.summary.moved = [text for _, text in self._fold.moved]
         self.summary.faults += self._fold.faults
         self._fold.faults = 0
 

@@ -416,6 +416,7 @@ class EventKind(StrEnum):
     FAULT = "fault"  # of the program
     FIT = "fit"
     GAP = "gap"
+    IMPLEMENT = "implement"  # another is hitched on
     LOG = "log"
     MACHINE_FILE = "machine_file"  # says something unusual
     MARK = "mark"  # by the operator; the words are theirs

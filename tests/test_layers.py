@@ -35,6 +35,7 @@ ROOMS = {
         "runs",
         "response",
         "fit",
+        "workers",
         "validation",
         "experiment",
         "",
@@ -42,6 +43,7 @@ ROOMS = {
         "report",
         "calibration",
         "sensitivity",
+        "season",
     ),
 }
 """Of each folder, in the order of imports; "" is the folder itself."""

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, Misfit, OpenEvidence, misfit_of
+from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.drift import drift
 from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NEED_STEERING, NOISE, SIX
 from tilth.estimator.methods import tracker
+from tilth.estimator.methods.pem import PemState, of_masses
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
@@ -102,7 +104,7 @@ def observe(
             state.rows = [*state.rows, _rejected_rows(state.tracker)][-OPEN_TRACKER.outlier_segments :]
     return OpenEvidence(
         misfit(state.tracker, believing, machine), _at_first(machine), state.learned, _rejected(state.rows),
-        is_rough(state.tracker),
+        is_rough(state.tracker) or is_rough(believing),  # one that has diverged explains the ground away
     )  # fmt: skip
 
 
@@ -143,11 +145,40 @@ def misfit(state: TrackerState, believing: TrackerState, machine: Machine) -> Mi
     return from_file(state.mean - state.prior_mean, state.covariance, believing.covariance, machine)
 
 
-def from_file(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
+def from_file(
+    off: Array, covariance: Array, believing: Array, machine: Machine, of_fit: bool = False
+) -> Misfit:
     """What is found, (n,) off the machine file with its covariance, (n, n), of unknowns.NAMES. believing: the
-    covariance of what believes the file as far as its sds say."""
+    covariance of what believes the file as far as its sds say. of_fit: as of `misfit_of`."""
     at = np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)
-    return misfit_of(off[PLACES], covariance[at], believing[at], machine)
+    return misfit_of(off[PLACES], covariance[at], believing[at], machine, of_fit)
+
+
+def of_fit(machine: Machine, mean: Array, covariance: Array, prior: tuple[Array, Array]) -> Misfit:
+    """What a fit would find were the numbers of the file as open as here: its search ends there but for a
+    step, since it is by information that the posterior is wider then. mean, covariance: of the fit, (n,) and
+    (n, n) of unknowns.NAMES. prior: (mean, sd) that it began with."""
+    sd, off = prior[1], mean - prior[0]
+    known = np.isin(np.arange(len(sd)), [*unknowns.MASSES, *np.arange(len(sd))[NOISE]])
+    active = np.flatnonzero((sd > 0.0) & ~known)
+    at, wide = np.ix_(active, active), opened(sd)
+    narrow, open_ = (np.diag(one[active] ** -2.0) for one in (sd, wide))
+    information = added(np.diag(sd[active] ** 2), (covariance - of_masses(covariance))[at])
+    found = np.diag(wide**2)
+    found[at] = np.linalg.inv(information + open_)
+    off[active] += found[at] @ (narrow - open_) @ off[active]
+    return from_file(off, found, covariance, machine, of_fit=True)
+
+
+def of_windows(machine: Machine, fits: PemState) -> Misfit:
+    """The same of all windows of pem so far."""
+    return of_fit(machine, fits.mean, fits.covariance, (fits.prior_mean, fits.prior_sd))
+
+
+def added(before: Array, after: Array) -> Array:
+    """Information, (a, a), between two covariances. Where filters differ, it may be less than before."""
+    sizes, axes = np.linalg.eigh(np.linalg.inv(after) - np.linalg.inv(before))
+    return np.asarray((axes * np.maximum(sizes, 0.0)) @ axes.T)
 
 
 def is_rough(state: TrackerState) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
-from tilth.estimator.filters.predictor import run_filter
+from tilth.estimator.filters.predictor import run_ticks
 from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
@@ -31,6 +31,7 @@ from tilth.estimator.filters.tracker_kernel import (
     RowTally,
     SegmentArrays,
     track_segment,
+    track_ticks,
 )
 from tilth.estimator.filters.unknowns import (
     AT,
@@ -154,7 +155,7 @@ class TrackerState(SixState):
     by_steering: bool = True  # slopes are those of steering alone, after a first look
 
 
-KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
+KERNELS: Final = (track_ticks, run_ticks, first_covariance)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:

@@ -42,22 +42,6 @@ TimedEstimates = list[tuple[float, Estimate]]
 """(s of the run, recommended estimate)"""
 
 
-class NoFits:
-    """Makes no fit: for controllers that do not listen, who need poses only."""
-
-    def ask(self, method: str, job: object) -> None:
-        return
-
-    def outcome(self, method: str, job: object, t_ns: int, awaited: bool = False) -> None:
-        return None
-
-    def made(self, method: str, job: object) -> None:
-        return None
-
-    def use(self, machine: Machine) -> None:
-        return
-
-
 @dataclass(slots=True)
 class RunTrace:
     """What one run leaves behind besides the truth."""
@@ -132,7 +116,8 @@ def run(
 
     def driver(setting: Setting) -> LiveDriver:
         controller = Controller(line, nominal, ORIGIN_DEG, limits)
-        fold = GuardedFold(machine, fitter=None if mode == "adapting" and estimates is None else NoFits())
+        fold = GuardedFold(machine)
+        fold.ready = mode == "adapting" and estimates is None  # others need poses only
         soil = _soil(setting, controller, nominal, known)
         loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, list(estimates or ())))
         drivers.append(LiveDriver(machine, setting, loops[0]))

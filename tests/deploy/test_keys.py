@@ -35,7 +35,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "jd7930-parker500"
 BASE = f"tilth/{NAME}"
-ORDERED = ("mark", "accept", "report/make")
+ORDERED = ("mark", "accept", "implement", "report/make")
 NOW = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
 
 

@@ -383,7 +383,7 @@ BODIES = (
         [b'{"a":' * 1500, b'{"rate": ' + b"9" * 4000 + b"}", b'{"text": "\\ud800"}', b'{"rate": 1e999}']
     )
 )
-POSTS = ("/mark", "/accept", "/player", "/experiment", "/calibration", "/report")
+POSTS = ("/mark", "/accept", "/implement", "/player", "/experiment", "/calibration", "/report")
 
 
 @settings(max_examples=60, deadline=None)

@@ -97,7 +97,7 @@ KINDS = (
 
 @pytest.mark.parametrize("speed", [2.0, 4.5])
 def test_cross_slopes_keep_the_spread_of_the_prior_and_go_together(speed: float) -> None:
-    step, setup = empty_transition.interpreted()(0, 0, 1), rig_setup(MACHINE)
+    step, setup = empty_transition(0, 0, 1), rig_setup(MACHINE)
     set_bank.interpreted()(speed, setup, step)
     found = solve_discrete_lyapunov(step.bank, step.bank_noise)
     sds = np.sqrt(np.diag(found))
