@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from tilth.estimator import fold
 from tilth.estimator.filters import scoring, unknowns
@@ -41,6 +42,8 @@ from tilth.simulator.scenario import (
 )
 from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
+
+threadpool_limits(1)  # as fits have it in the product
 
 Array = NDArray[np.float64]
 Changed = Callable[[Machine], Machine]

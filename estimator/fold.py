@@ -13,11 +13,12 @@ from tilth.estimator.diagnosis import diagnosis
 from tilth.estimator.diagnosis.accepted import acceptance, corrected
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.watch import Moved
+from tilth.estimator.diagnosis.widening import OfSoil, widened
 from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, pem, place, rows, tracker
+from tilth.estimator.methods import open_tracker, pem, place, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -137,7 +138,15 @@ def estimates_now(state: State) -> dict[str, Estimate]:
         )
         for row in rows_for(state.machine)
     }
-    return {**now, RECOMMENDED: recommend(now, state.latest_ns, state.disagree)}
+    return {**now, RECOMMENDED: _recommended(state, now, state.latest_ns)}
+
+
+def _recommended(state: State, estimates: Mapping[str, Estimate], t_ns: int) -> Estimate:
+    """The recommended one, as wide as soil may be otherwise here than where its method has learned."""
+    best = recommend(estimates, t_ns, state.disagree)
+    if best.rule is not None and best.rule.code is Code.IN_PATCHES:
+        return best
+    return widened(OfSoil(place.elsewhere(state.estimators[place.METHOD])), best)
 
 
 def estimate_at(state: State, x: float, y: float) -> Estimate:
@@ -171,7 +180,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
         silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, silence)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
-    now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
+    now_ns = frame.rx_ns if frame.rx_ns < frame.t_ns else frame.t_ns  # not received after the loop took it
     if state.recognition.before:
         _recall_addresses(state, frame, out)
     position_taken = False
@@ -368,7 +377,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     if found and not state.disagree:
         _publish_event(state, t_ns, EventKind.DISAGREEMENT, reasoned(found), out)
     state.disagree = bool(found)
-    best = state.estimates[RECOMMENDED] = recommend(state.estimates, t_ns, state.disagree)
+    best = state.estimates[RECOMMENDED] = _recommended(state, state.estimates, t_ns)
     out.append(Publication(t_ns, "/soil_tire", best))
 
 
@@ -379,12 +388,14 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         return out
     method_state = state.estimators[method]
     foreseen = False
-    for other in rows_for(state.machine):
-        if other.learn is not None and made is not None and method_state.job is not None:
-            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
-            _publish_events(state, t_ns, other, out, foreseen=False)
-    if isinstance(made, rows.Fit) and made.of_file is not None and method_state.job is not None:
-        diagnosis.fit_tells(state.diagnosis, method, made.of_file, made.seconds)
+    if made is not None and method_state.job is not None:
+        for other in rows_for(state.machine):
+            if other.learn is not None:
+                foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
+                _publish_events(state, t_ns, other, out, foreseen=False)
+        of_file = row.fitting.of_file(made)
+        if of_file is not None:
+            diagnosis.fit_tells(state.diagnosis, method, *of_file)
     learns = isinstance(made, pem.Fit) and made.refused is None and method_state.job is not None
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     if learns:

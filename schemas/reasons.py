@@ -56,6 +56,8 @@ class Code(StrEnum):
     NO_STEADY_TURN_EXISTS = "no_steady_turn_exists"
     NOT_CONVERGED = "not_converged"
     BEYOND_TYRES = "beyond_tyres"
+    TWO_PLACES = "two_places"
+    """Other tyres, more than a sd away, explain the window about as well."""
     OUTPUTS_NOT_MEASURED = "outputs_not_measured"
     NO_STEADY_TURN = "no_steady_turn"
     END_OF_SEARCH = "end_of_search"
@@ -97,6 +99,10 @@ class Code(StrEnum):
     excluded; s of steering that would."""
     WIDENED = "widened"
     """There is a number. of: a key of the machine file. numbers: sd of the logarithm that is added for it."""
+    OTHER_SOIL = "other_soil"
+    """There is a number. numbers: sd of its logarithm: soil may be otherwise here than where it is from."""
+    NOT_KNOWN_HERE = "not_known_here"
+    """numbers: the same, where it is too large for a number."""
 
     # Which method is recommended: the rule. of: the method, and then others.
     FIRST_WITH_NUMBERS = "first_with_numbers"

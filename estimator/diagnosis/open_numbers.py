@@ -105,6 +105,7 @@ def _slopes(covariance: Array, believing: Array, stated: Array) -> Array:
     return np.asarray(slopes, np.float64)
 
 
+@once_for_a_machine
 def _stated(machine: Machine) -> Array:
     """Sds that the file gives, [n] in the order of OPEN: the methods have these."""
     return unknowns.prior(machine)[1][[AT[name] for name in NAMES]]

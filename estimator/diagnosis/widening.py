@@ -8,6 +8,8 @@ be in the file makes it useless, and it is as wide as the file may be wrong.
 
 What no single error explains is an error of the model: what is found is as much less certain as that misfit
 is too large (Birge's ratio). A method's own sd stays: its noise is as large as the data are off already.
+
+Soil that may be otherwise here than where a method has learned widens in the same way what is recommended.
 """
 
 import math
@@ -41,6 +43,9 @@ class WideningTuning:
     least: float = tuned(1.1, "1", "factor by which the file must widen a number before it is not given")
     withdrawn: float = tuned(1.2, "1", "factor on that limit for a number that was given before")
     said: float = tuned(1.2, "1", "factor from which the reason says by what a number is widened")
+    elsewhere: float = tuned(
+        0.42, "1", "sd of a logarithm above which a number of other soil is not given, nor by `place`"
+    )
     confirmed: float = tuned(
         0.2, "1", "largest sd of C_af, C_ar and C_ai by the file with which it is confirmed"
     )
@@ -72,6 +77,40 @@ class Widening:
         """Whether no error that may still be in the file moves a stiffness by much."""
         return bool(np.sqrt(np.diag(self.covariance)[:3]).max() <= WIDENING.confirmed)
 
+    def limit(self, own: float, had: bool = False) -> float:
+        """Largest sd of a logarithm that is given. own: by the method; had: it was given before."""
+        return max(WIDENING.widest, WIDENING.least * own) * (WIDENING.withdrawn if had else 1.0)
+
+    def reason(self, k: int, own: float, limit: float) -> Reason | None:
+        """Why parameter k is wide, or not given; None where nothing is to be said."""
+        added, key = math.sqrt(self.covariance[k, k]), NUMBER[self.by[k]].key
+        total = math.hypot(own, added)
+        if total <= limit:
+            return Reason(Code.WIDENED, (key,), (added,)) if total > WIDENING.said * own else None
+        if self.doubted[k]:
+            return Reason(Code.DOUBTED, (key,))
+        seconds = self.learned_s * (added**2 / (limit**2 - own**2) - 1.0)  # variances fall with the time
+        seconds = min(max(seconds, WIDENING.shortest_s), WIDENING.longest_s)
+        return Reason(Code.NOT_EXCLUDED, (key,), (total, seconds))
+
+
+@dataclass(frozen=True, slots=True)
+class OfSoil:
+    """What other soil here than where a method has learned does to the six, as `Widening` of the file."""
+
+    covariance: Array  # (6, 6), of logarithms
+
+    def limit(self, own: float, had: bool = False) -> float:
+        """As of `Widening`; what was given before is given no longer."""
+        return max(WIDENING.elsewhere, WIDENING.least * own)
+
+    def reason(self, k: int, own: float, limit: float) -> Reason | None:
+        """As of `Widening`."""
+        total = math.hypot(own, math.sqrt(self.covariance[k, k]))
+        if total <= WIDENING.said * own:
+            return None
+        return Reason(Code.OTHER_SOIL if total <= limit else Code.NOT_KNOWN_HERE, numbers=(total,))
+
 
 def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit | None = None) -> Widening:
     """known: numbers that need no proof any more. fit: what fits of whole windows have found: of BY_FIT they
@@ -83,7 +122,7 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit
         found, noise = np.where(BY_FIT, fit.found, found), np.where(BY_FIT, fit.alone**2, noise)
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise
     log_factors = 0.5 * (share * found**2 / noise - np.log1p(_WRONG_BY / noise))
-    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN)
+    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN) if known else _OFTEN
     of_noise, error = share * noise, (share * found) ** 2
     parts = misfit.moves * np.sqrt(_probabilities(log_factors, often) * (of_noise + error))
     by = np.argmax(np.abs(parts), axis=1)
@@ -103,9 +142,9 @@ def _probabilities(log_factors: Array, often: Array) -> Array:
     return np.asarray(wrong / ((1.0 - WIDENING.wrong) * math.exp(-top) + wrong.sum()), np.float64)
 
 
-def widened(widening: Widening, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
-    """An estimate as wide as the file may be wrong; without the numbers that this leaves useless. had: which
-    of the six it had before; these are withdrawn later than new ones are given."""
+def widened(widening: Widening | OfSoil, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
+    """An estimate as wide as file or soil may be otherwise; without the numbers that this leaves useless.
+    had: which of the six it had before; these are withdrawn later than new ones are given."""
     if not estimate.log_covariance or not widening.covariance.any():
         return estimate
     covariance = np.reshape(estimate.log_covariance, (6, 6)) + widening.covariance
@@ -116,7 +155,7 @@ def widened(widening: Widening, estimate: Estimate, had: Sequence[bool] = ()) ->
     determined = tuple(
         replace(one, log_sd=total)
         for one in estimate.determined
-        if (total := _of_combination(widening, one)) <= _limit(one.log_sd)
+        if (total := _of_combination(widening, one)) <= widening.limit(one.log_sd)
     )
     return replace(
         estimate, parameters=parameters, log_covariance=tuple(covariance.ravel().tolist()),
@@ -126,7 +165,7 @@ def widened(widening: Widening, estimate: Estimate, had: Sequence[bool] = ()) ->
 
 
 def _over_mass(
-    widening: Widening, estimate: Estimate, k: int, had: bool
+    widening: Widening | OfSoil, estimate: Estimate, k: int, had: bool
 ) -> tuple[float | None, float | None]:
     """(value, sd) of a stiffness over the mass, which errors of the mass do not widen."""
     if k >= len(estimate.per_mass_sd):
@@ -135,30 +174,20 @@ def _over_mass(
     if value is None or sd is None:
         return None, None
     total = math.hypot(sd / value, math.sqrt(widening.covariance[k, k]))
-    return (value, value * total) if total <= _limit(sd / value, had) else (None, None)
+    return (value, value * total) if total <= widening.limit(sd / value, had) else (None, None)
 
 
-def _parameter(widening: Widening, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
+def _parameter(widening: Widening | OfSoil, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
     if given.value is None or given.sd is None:
         return given
-    added, own = math.sqrt(widening.covariance[k, k]), given.sd / given.value
-    key, total, limit = NUMBER[widening.by[k]].key, math.hypot(own, added), _limit(own, had)
+    own = given.sd / given.value
+    total, limit = math.hypot(own, math.sqrt(widening.covariance[k, k])), widening.limit(own, had)
+    reason = widening.reason(k, own, limit)
     if total <= limit:
-        reason = Reason(Code.WIDENED, (key,), (added,)) if total > WIDENING.said * own else None
         return replace(given, sd=given.value * total, reason=given.reason or reason)
-    if widening.doubted[k]:
-        reason = Reason(Code.DOUBTED, (key,))
-    else:  # variances fall with the time driven
-        seconds = widening.learned_s * (added**2 / (limit**2 - own**2) - 1.0)
-        seconds = min(max(seconds, WIDENING.shortest_s), WIDENING.longest_s)
-        reason = Reason(Code.NOT_EXCLUDED, (key,), (total, seconds))
     return replace(given, value=None, sd=None, status=Status.UNESTIMATED, reason=reason)
 
 
-def _of_combination(widening: Widening, one: Combination) -> float:
+def _of_combination(widening: Widening | OfSoil, one: Combination) -> float:
     weights = np.array(one.exponents)
     return math.sqrt(one.log_sd**2 + float(weights @ widening.covariance @ weights))
-
-
-def _limit(own: float, had: bool = False) -> float:
-    return max(WIDENING.widest, WIDENING.least * own) * (WIDENING.withdrawn if had else 1.0)

@@ -4,12 +4,13 @@ The logarithms of the six at a place x are m_j + z(x) + e_j(x): m of the rig and
 machine file's; z, a soil factor that all axles share, and e, smaller, of each axle, for the three
 stiffnesses. z and e are Gaussian processes whose correlation falls with distance. How much soil differs, and
 over which length, is learned: each pair of values is a hypothesis, weighed by the marginal likelihood of what
-the windows told. With few windows many are likely, and the answer is wide.
+the windows told, and by how often fields are so. With few windows many are likely, and the answer is wide.
 
 A window tells of the mean over its path, of each axle's stiffness along the way of that axle. Errors of the
 model are common to all windows of a method: a random effect, so they do not average out.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,8 +38,15 @@ class SoilFieldTuning:
     sds: tuple[float, ...] = tuned(
         (0.05, 0.15, 0.25, 0.4, 0.6), "1", "of a stiffness' logarithm over the field"
     )
+    beforehand: tuple[float, ...] = tuned(
+        (0.5, 0.2, 0.15, 0.1, 0.05), "1", "how probable each of these sds is before any window"
+    )
     lengths_m: tuple[float, ...] = tuned((10.0, 30.0, 100.0), "m", "over which soil is alike")
     common: float = tuned(0.8, "1", "share of the variance that all axles have in common")
+    direction: float = tuned(
+        0.05, "1", "sd of a stiffness' logarithm that turns with the heading: slope, pull"
+    )
+    """3° fore and aft shift 5 % of the front axle's load. What passes to and fro differ by is not soil."""
     changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")
     telling: float = tuned(0.02, "1", "information over the prior's, of a direction that is used")
     likely: float = tuned(1e-3, "1", "likelihood over the largest: of a hypothesis that is not left out")
@@ -185,20 +193,38 @@ def _apart(these: Array, those: Array) -> Array:
     return np.stack([(one[:, None, k] - other[None, :, k]).reshape(shape) for k in (0, 1)])
 
 
+def _headings(places: Array) -> Array:
+    """Mean direction of the rig, (…, 2): of length 1 where it heads the same way all along, of next to 0
+    where it turns round. places: of the axles, (…, 3, points, 2)."""
+    ahead = places[..., 0, :, :] - places[..., -1, :, :]
+    return np.asarray((ahead / np.maximum(np.linalg.norm(ahead, axis=-1, keepdims=True), 1e-9)).mean(axis=-2))
+
+
 class Variogram(NamedTuple):
     """How soil may differ."""
 
     sd: float
     length_m: float
     correlation: Callable[[Array, float], Array] = exponential
+    beforehand: float = 1.0  # how probable it is before any window, over that of another
+
+    @property
+    def kind(self) -> tuple[float, Callable[[Array, float], Array]]:
+        """What those have in common that differ in the sd alone."""
+        return self.length_m, self.correlation
 
 
-VARIOGRAMS: Final = tuple(Variogram(sd, length) for length in SOIL_FIELD.lengths_m for sd in SOIL_FIELD.sds)
+VARIOGRAMS: Final = tuple(
+    Variogram(sd, length, beforehand=probable)
+    for length in SOIL_FIELD.lengths_m
+    for sd, probable in zip(SOIL_FIELD.sds, SOIL_FIELD.beforehand, strict=True)
+)
 
 
 class _Hypothesis(NamedTuple):
     soil: Variogram
     weight: float
+    score: float  # logarithm of the likelihood of what was told, with how probable it was before
     root: Array  # (r, r), lower, of the covariance of what was told
     alpha: Array  # (r,), its inverse times what was told
     distance: float  # squared, of what was told from what was thought before
@@ -207,13 +233,21 @@ class _Hypothesis(NamedTuple):
         return np.asarray(cho_solve((self.root, True), told, check_finite=False))
 
 
+class _Near(NamedTuple):
+    """What a place has to do with what was told."""
+
+    kinds: dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]
+    """Of each kind of soil: correlation of what was told with each axle's, (r, 3), and of these, (3, 3)."""
+    toward: Array  # as of SoilMemory._toward, (3, 6)
+
+
 class SoilMemory:
     """What some windows tell of a field. Derived from them alone."""
 
     def __init__(
         self, windows: Sequence[SoilWindow], prior_sd: Array, variograms: Sequence[Variogram] = VARIOGRAMS
     ) -> None:
-        """prior_sd: (n,), of the machine file. variograms: hypotheses, each as likely before any window."""
+        """prior_sd: (n,), of the machine file. variograms: hypotheses."""
         self.windows, self.prior_sd, self.variograms = windows, prior_sd[SIX], variograms
         paths = np.array([window.path for window in windows]).reshape(-1, SOIL_FIELD.points, AXLES, 2)
         self._places = paths.transpose(0, 2, 1, 3)  # (windows, 3, points, 2)
@@ -242,6 +276,13 @@ class SoilMemory:
         return placed
 
     @cached_property
+    def _toward(self) -> Array:
+        """What each direction that was told of has of each axle's stiffness to north and to east, (r, 6)."""
+        of, units, _, _ = self._directions
+        toward = units[:, :AXLES, None] * _headings(self._places)[of][:, None]
+        return np.asarray(toward.reshape(len(of), 2 * AXLES))
+
+    @cached_property
     def _scored(self) -> list[_Hypothesis]:
         """All hypotheses, with the weight of each."""
         of, units, values, variances = self._directions
@@ -250,6 +291,7 @@ class SoilMemory:
         epochs = np.array([window.epoch for window in self.windows])[of]
         fixed = (units * self.prior_sd**2) @ units.T + np.diag(variances)
         fixed -= (units * self._between_epochs) @ units.T * (epochs[:, None] != epochs)
+        fixed += SOIL_FIELD.direction**2 * (self._toward @ self._toward.T)
         # What the surer of two windows has of errors, both have: a difference of them is not free of it.
         in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
         fixed += in_common.sum(axis=2) * (methods[:, None] == methods[None, :])
@@ -260,11 +302,11 @@ class SoilMemory:
         }
         found, logs = [], []
         for one in self.variograms:
-            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one[1:]]), np.float64)
+            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            logs.append(-0.5 * distance - float(np.sum(np.log(np.diag(root)))))
-            found.append(_Hypothesis(one, 0.0, root, alpha, distance))
+            logs.append(math.log(one.beforehand) - 0.5 * distance - float(np.sum(np.log(np.diag(root)))))
+            found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0
         return [h._replace(weight=w) for h, w in zip(found, (weights / weights.sum()).tolist(), strict=True)]
@@ -272,7 +314,7 @@ class SoilMemory:
     @cached_property
     def _kinds(self) -> dict[tuple[float, Callable[[Array, float], Array]], Variogram]:
         """One of those that have a correlation in common."""
-        return {one[1:]: one for one in self.variograms}
+        return {one.kind: one for one in self.variograms}
 
     @property
     def _between_epochs(self) -> Array:
@@ -306,7 +348,7 @@ class SoilMemory:
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
         near = self._near(place)
         for one in self._hypotheses:
-            cross, own = self._with(near[one.soil[1:]], one.soil.sd)
+            cross, own = self._with(near, one.soil)
             there = cross.T @ one.alpha
             mean += one.weight * there
             second += one.weight * (own - cross.T @ one.solve(cross) + np.outer(there, there))
@@ -314,31 +356,46 @@ class SoilMemory:
         covariance = second - np.outer(mean, mean)
         return At(mean, (covariance + covariance.T) / 2.0, length)
 
-    def _near(self, place: Array) -> dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]:
-        """Of each kind: correlation of what was told with the soil of each axle at a place, (r, 3), and of
-        these, (3, 3)."""
+    def elsewhere(self, place: Array) -> Array:
+        """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what
+        is learned without place has this error besides. Of the stiffnesses."""
+        there, near = self.at(place), self._near(place)
+        same = (one for one in self._scored if one.soil.sd == min(SOIL_FIELD.sds))
+        one = max(same, key=lambda hypothesis: hypothesis.score)
+        cross, own = self._with(near, one.soil)
+        off = there.mean - cross.T @ one.alpha
+        added = there.covariance + np.outer(off, off) - (own - cross.T @ one.solve(cross))
+        sizes, axes = np.linalg.eigh(added[:AXLES, :AXLES])
+        left = np.zeros((6, 6))
+        left[:AXLES, :AXLES] = axes * np.maximum(sizes, 0.0) @ axes.T
+        return left
+
+    def _near(self, place: Array) -> "_Near":
         there = place.reshape(1, -1, AXLES, 2).transpose(0, 2, 1, 3)
         apart, own = _apart(self._places, there), _apart(there, there)
-        return {
+        kinds = {
             key: (self._placed @ one.correlation(apart, one.length_m), one.correlation(own, one.length_m))
             for key, one in self._kinds.items()
         }
+        return _Near(kinds, np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64))
 
-    def _with(self, near: tuple[Array, Array], sd: float) -> tuple[Array, Array]:
+    def _with(self, near: "_Near", soil: Variogram) -> tuple[Array, Array]:
         """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
         of, units, _, _ = self._directions
         epochs = np.array([window.epoch for window in self.windows])
         cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
         cross -= units * self._between_epochs * (epochs[of] != epochs.max())[:, None]
-        cross[:, :AXLES] += sd**2 * near[0]
-        own[:AXLES, :AXLES] += sd**2 * near[1]
+        told, there = near.kinds[soil.kind]
+        toward = SOIL_FIELD.direction**2 * near.toward
+        cross[:, :AXLES] += soil.sd**2 * told + self._toward @ toward.T
+        own[:AXLES, :AXLES] += soil.sd**2 * there + near.toward @ toward.T
         return cross, own
 
     def shares(self, place: Array, chosen: Sequence[bool]) -> tuple[float, float, float]:
         """By how much the chosen windows, then the others, narrow the stiffnesses at a place, over their
         prior's sd, and what is left of it; mean of the three. They add up to 1."""
         one = max(self._hypotheses, key=lambda hypothesis: hypothesis.weight)
-        cross, own = self._with(self._near(place)[one.soil[1:]], one.soil.sd)
+        cross, own = self._with(self._near(place), one.soil)
         rows = np.flatnonzero(np.array(chosen)[self._directions[0]])
         told = one.root[rows] @ one.root[rows].T
         by_chosen = cross[rows].T @ np.linalg.solve(told, cross[rows])

@@ -30,7 +30,8 @@ from tilth.schemas.reasons import Code
 Array = NDArray[np.float64]
 
 PLACES: Final = [AT[name] for name in NAMES]
-_SIX_AND_OPEN: Final = [*range(6), *PLACES]
+_PLACES: Final = np.array(PLACES)
+_SIX_AND_OPEN: Final = np.ix_(*[[*range(6), *PLACES]] * 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +135,9 @@ def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
 
 def _fade(state: TrackerState) -> None:
     """Drift the posterior towards the prior: a receiver may be moved in the middle of a day."""
-    for places, memory in ((PLACES, OPEN_TRACKER.memory), (list(range(6)), OPEN_TRACKER.soil_memory)):
+    for places, memory in ((_PLACES, OPEN_TRACKER.memory), (SIX, OPEN_TRACKER.soil_memory)):
         share = math.exp(-1.0 / memory)
-        drift(state.covariance, np.array(places), share, state.prior_sd)
+        drift(state.covariance, places, share, state.prior_sd)
         state.P_xtheta[:, places] *= share
 
 
@@ -150,8 +151,8 @@ def from_file(
 ) -> Misfit:
     """What is found, (n,) off the machine file with its covariance, (n, n), of unknowns.NAMES. believing: the
     covariance of what believes the file as far as its sds say. of_fit: as of `misfit_of`."""
-    at = np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)
-    return misfit_of(off[PLACES], covariance[at], believing[at], machine, of_fit)
+    at = _SIX_AND_OPEN
+    return misfit_of(off[_PLACES], covariance[at], believing[at], machine, of_fit)
 
 
 def of_fit(machine: Machine, mean: Array, covariance: Array, prior: tuple[Array, Array]) -> Misfit:

@@ -171,6 +171,11 @@ def fit(machine: Machine, job: Job) -> Fit:
     )  # fmt: skip
 
 
+def tells_of_file(made: Fit) -> tuple[Misfit, float] | None:
+    """What a fit tells of the machine file, and s of driving that this is of."""
+    return None if made.of_file is None else (made.of_file, made.seconds)
+
+
 def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior: tuple[Array, Array]) -> Told:
     """What a block alone tells. mean, covariance: before it, (n,) and (n, n). prior: as of unknowns.prior."""
     known, after = pem.with_known_masses(covariance), found.covariance - pem.of_masses(covariance)

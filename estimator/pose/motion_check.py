@@ -169,6 +169,8 @@ def _gradient(body: BodyMotion) -> float:
     if body.rolls.weight < MOTION_CHECK.least_roll_poses:
         return 0.0
     moments = body.rolls.covariance
+    if moments[0, 0] < 0.99 * MOTION_CHECK.least_acceleration_sd**2:  # what the heading explains is less yet
+        return 0.0
     by_heading = np.linalg.solve(moments[2:, 2:] + MOTION_CHECK.turned * np.eye(2), moments[2:, :2])
     left = moments[:2, :2] - moments[:2, 2:] @ by_heading
     acceleration_sd, roll_sd = np.sqrt(np.maximum(np.diag(left), 0.0))

@@ -31,11 +31,6 @@ class RecommendationTuning:
     patchy: float = tuned(
         0.5, "1", "probability that soil differs from place to place, above which `place` is better"
     )
-    """Over nine fields of patches the recommended C hold 86 85 93 % with 0.95 and 95 94 99 % with 0.5, their
-    mean interval score is 2.4 and 1.6; over two of one soil the score is 0.9 and 1.0."""
-    patchy_windows: int = tuned(4, "1", "windows from which that probability is believed")
-    """By its prior it is 0.75 after one window; on soil that is the same everywhere two windows gave 0.95
-    and 0.96 in 2 of 24 drives, and numbers three times as wide as `pem`'s; further ones took it back."""
     fresh_s: float = tuned(120.0, "s", "if the window of pem is older, tracker is better")
     disagree_above: Mapping[int, float] = tuned(
         {1: 10.8, 2: 13.8, 3: 16.3, 4: 18.5, 5: 20.5, 6: 22.5},
@@ -55,7 +50,6 @@ RECOMMENDATION: Final = RecommendationTuning()
 SINCE_CHANGE: Final = "since_soil_change_s"  # key in `excitation` of a method that detects changes at once
 PATCHY: Final = "patchy"
 """Key in `excitation` of the method place: how probable it is that soil differs from place to place."""
-WINDOWS: Final = "windows"  # the same: how many it rests on
 LEANS: Final = ("lean_tractor_deg", "lean_implement_deg", "cross_slope_deg")
 """Keys in tracker's `excitation`: how far the bodies lean on their tyres, and the ground under the tractor,
 right side down; the recommended estimate has them whichever method it is of."""
@@ -106,8 +100,7 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
     of_place = estimates.get(PLACE)
     if of_place is not None and _is_finite(of_place) and _usable_parameters(of_place, Status.ESTIMATED):
         patchy = of_place.excitation.get(PATCHY, 0.0)
-        seen = of_place.excitation.get(WINDOWS, 0.0) >= RECOMMENDATION.patchy_windows
-        if seen and patchy > RECOMMENDATION.patchy:
+        if patchy > RECOMMENDATION.patchy:
             if "pem" in estimates:  # which it rests on, for the rig and for what to drive
                 rig = estimates["pem"]
                 of_place = replace(of_place, nuisances=rig.nuisances, advice=rig.advice)

@@ -42,22 +42,6 @@ TimedEstimates = list[tuple[float, Estimate]]
 """(s of the run, recommended estimate)"""
 
 
-class NoFits:
-    """Makes no fit: for controllers that do not listen, who need poses only."""
-
-    def ask(self, method: str, job: object) -> None:
-        return
-
-    def outcome(self, method: str, job: object, t_ns: int, awaited: bool = False) -> None:
-        return None
-
-    def made(self, method: str, job: object) -> None:
-        return None
-
-    def use(self, machine: Machine) -> None:
-        return
-
-
 @dataclass(slots=True)
 class RunTrace:
     """What one run leaves behind besides the truth."""
@@ -116,23 +100,25 @@ def run(
     limits: Limits = LIMITS,
     known: Collection[str] = PARAMETERS,
     estimates: TimedEstimates | None = None,
+    slack_s: float = 3.0,
 ) -> tuple[Plan, Truth, RunTrace]:
     """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing.
 
-    known: what of the parameters who knows does know; he takes the rest for nominal. told: what is said to
-    who adapts, instead of what the fold finds.
+    known: what of the parameters who knows does know; he takes the rest for nominal. estimates: what is
+    said to who adapts, instead of what the fold finds. slack_s: longer than the plan; who strays needs more.
     """
     nominal = rig_of(machine)
     line = plan(work, nominal)
     assert isinstance(scenario.speed, float)
-    seconds = len(line.row) * STEP / scenario.speed + 3.0
+    seconds = len(line.row) * STEP / scenario.speed + slack_s
     scenario = replace(scenario, clock_offset_s=0.0, other_traffic=False)
     loops: list[Loop] = []
     drivers: list[LiveDriver] = []
 
     def driver(setting: Setting) -> LiveDriver:
         controller = Controller(line, nominal, ORIGIN_DEG, limits)
-        fold = GuardedFold(machine, fitter=None if mode == "adapting" and estimates is None else NoFits())
+        fold = GuardedFold(machine)
+        fold.ready = mode == "adapting" and estimates is None  # others need poses only
         soil = _soil(setting, controller, nominal, known)
         loops.append(Loop(controller, fold, mode, soil, scenario.utc_start_ns, list(estimates or ())))
         drivers.append(LiveDriver(machine, setting, loops[0]))

@@ -58,6 +58,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_STEADY_TURN_EXISTS: "bei diesen Steifigkeiten gibt es keine gleichmäßige Kurve",
     Code.NOT_CONVERGED: "die Auswertung fand kein Ende",
     Code.BEYOND_TYRES: "das Ergebnis kann kein Reifen sein",
+    Code.TWO_PLACES: "zweierlei Reifen erklären diese Fahrt etwa gleich gut: auch anders lenken",
     Code.OUTPUTS_NOT_MEASURED: "Drehraten oder Richtungen beider Fahrzeuge sind nicht gemessen",
     Code.NO_STEADY_TURN: "keine gleichmäßige Kurve in dieser Fahrt",
     Code.END_OF_SEARCH: "ein Wert lief ans Ende seines Suchbereichs",
@@ -105,6 +106,8 @@ SENTENCES: Final[Mapping[Code, str]] = {
         " {n[0]:share} offen: bei Arbeitsgeschwindigkeit {n[1]:.0f} s lang um 3° oder mehr hin und her lenken"
     ),
     Code.WIDENED: "{n[0]:share} davon sind Raum für einen Fehler von {of[0]} in der Maschinendatei",
+    Code.OTHER_SOIL: "der Boden kann hier anders sein, als wo dies gelernt wurde: {n[0]:share}",
+    Code.NOT_KNOWN_HERE: "der Boden kann hier anders sein, als wo gelernt wurde, das lässt {n[0]:share} offen",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: zuerst genannt von {others}, was Werte gibt",
     Code.FIRST_THOUGH_OLD: "{of[0]}: zuerst genannt von {others}, was Werte gibt, wenn auch alte",
     Code.SOIL_CHANGED_SINCE: (

@@ -58,6 +58,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_STEADY_TURN_EXISTS: "no steady turn exists at these stiffnesses",
     Code.NOT_CONVERGED: "fit did not converge",
     Code.BEYOND_TYRES: "fit is beyond what tyres can be",
+    Code.TWO_PLACES: "two sets of tyres explain this driving about as well: steer in other ways, too",
     Code.OUTPUTS_NOT_MEASURED: "yaw rates or headings of both bodies are not measured",
     Code.NO_STEADY_TURN: "no steady turn in this run",
     Code.END_OF_SEARCH: "a parameter went to the end of where it is sought",
@@ -103,6 +104,8 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "to and fro by 3° or more at working speed, for {n[1]:.0f} s"
     ),
     Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
+    Code.OTHER_SOIL: "soil may be otherwise here than where this is from: {n[0]:share}",
+    Code.NOT_KNOWN_HERE: "soil may be otherwise here than where it was learned, which leaves {n[0]:share}",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: (

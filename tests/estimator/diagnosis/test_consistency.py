@@ -119,6 +119,7 @@ def test_a_right_file_is_confirmed_and_raises_nothing() -> None:
             assert abs(math.log(p.value / truth[name])) < 3.5 * p.sd / p.value, name
 
 
+@pytest.mark.long
 def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
     """Three steps of 30 s, as the dissertation ran them: for most of them the wheels are held."""
     heard = list(simulate(demo_machine(), 2, THREE_STEPS.seconds, THREE_STEPS))
@@ -203,6 +204,7 @@ def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
     assert any(flag.kind is CONTRADICTION for flag in poses[-1].flags)
 
 
+@pytest.mark.long
 def test_numbers_come_back_when_the_contradiction_is_gone() -> None:
     moved_receiver = Fault(Mount.TRACTOR_FRONT, 45.0, 75.0, "moved")
     scenario = replace(RANDOM, seconds=115.0, faults=(moved_receiver,))
@@ -344,6 +346,7 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
 @pytest.mark.parametrize(
     ("uneven", "fit", "accuses"), [(0.005, 1e3, True), (0.012, 1e3, False), (0.005, 1.0, False)]
 )
+@pytest.mark.long
 def test_where_it_may_have_diverged_what_the_open_tracker_finds_accuses_no_file(
     uneven: float, fit: float, accuses: bool
 ) -> None:

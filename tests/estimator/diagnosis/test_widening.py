@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tilth.estimator.diagnosis import consistency, open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY, Consistency
 from tilth.estimator.diagnosis.open_numbers import HYPOTHESES, NAMES, OPEN, OpenEvidence
-from tilth.estimator.diagnosis.widening import WIDENING, Widening, widened, widening_of
+from tilth.estimator.diagnosis.widening import WIDENING, OfSoil, Widening, widened, widening_of
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Combination, Reason
@@ -256,3 +256,21 @@ def test_what_was_known_holds_until_a_restarted_open_tracker_has_learned_again()
     assert state.widening.covariance is before and state.judged
     consistency._update(state, {}, evidence({}, {}, 0.5, CONSISTENCY.least_after_restart), 0)
     assert state.widening.covariance is not before
+
+
+@pytest.mark.parametrize(
+    ("own", "soil", "code"),
+    [(0.1, 0.05, None), (0.1, 0.2, Code.OTHER_SOIL), (0.1, 0.5, Code.NOT_KNOWN_HERE), (0.4, 0.0, None)],
+)
+def test_soil_that_may_be_otherwise_here_widens(own: float, soil: float, code: Code | None) -> None:
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = soil**2
+    said, one = estimate(own), widened(OfSoil(covariance), estimate(own))
+    for before, after in zip(said.parameters[:3], one.parameters[:3], strict=True):
+        assert after.value == (None if code is Code.NOT_KNOWN_HERE else before.value)
+        assert (after.reason.code if after.reason else None) is code
+        if after.sd is not None and after.value is not None:
+            assert after.sd / after.value == pytest.approx(math.hypot(own, soil))
+    assert one.parameters[3:] == said.parameters[3:]
+    logs = np.reshape(one.log_covariance, (6, 6)) - np.reshape(said.log_covariance, (6, 6))
+    assert logs == pytest.approx(covariance)

@@ -175,3 +175,37 @@ def test_what_the_rig_leaves_open_is_common_to_windows_and_what_noise_does_is_no
     assert made.model_sd[k] == pytest.approx(0.2, rel=0.1) and made.information[k, k] == pytest.approx(2500.0)
     assert made.model_sd[AT["C_ar"]] == 0.0
     assert made.information[AT["C_ar"], AT["C_ar"]] == pytest.approx(1.0 / (0.02**2 + 0.2**2), rel=0.1)
+
+
+def test_what_differs_between_passes_to_and_fro_is_not_taken_for_soil() -> None:
+    """Fore-aft slope and pull turn with the heading: + 8 % one way and − 8 % the other, on the same soil."""
+    windows = []
+    for k in range(12):
+        one, ahead = window(np.zeros(6), 60.0, 12.2 * k, k=k), (-1.0) ** k
+        path = one.path.copy()
+        path[..., 0] = 60.0 + ahead * (path[..., 0] - 60.0)  # the other way
+        information = np.eye(6) / 0.03**2
+        said = np.repeat([0.08 * ahead, 0.0], 3)
+        windows.append(replace(one, path=path, told=Told(information, information @ said, np.zeros(6))))
+    field = SoilMemory(windows, PRIOR_SD)
+    there = rig_at(60.0, 12.2 * 12)
+    back = there.copy()
+    back[..., 0] = 120.0 - back[..., 0]
+    to, fro = field.at(there), field.at(back)
+    assert field.patchy < 0.2
+    assert to.mean[:3] == pytest.approx(np.full(3, 0.08), abs=0.03)
+    assert fro.mean[:3] == pytest.approx(np.full(3, -0.08), abs=0.03)
+
+
+def test_what_rows_and_turns_differ_by_is_not_taken_for_soil() -> None:
+    """Errors of each method are in common to its windows: a random effect, estimated with the soil."""
+    windows = []
+    for k in range(12):
+        one, said = window(np.zeros(6), 60.0, 12.2 * k, k=k), np.repeat([0.1 * (-1.0) ** k, 0.0], 3)
+        information = np.eye(6) / 0.03**2
+        made = Told(information, information @ said, np.repeat([0.1, 0.0], 3))
+        windows.append(replace(one, method=("pem", "rows")[k % 2], told=made))
+    field = SoilMemory(windows, PRIOR_SD)
+    found = field.at(rig_at(60.0, 12.2 * 12))
+    assert field.patchy < 0.2 and found.mean[:3] == pytest.approx(np.zeros(3), abs=0.03)
+    assert np.all(np.sqrt(np.diag(found.covariance)[:3]) > 0.06)

@@ -110,6 +110,30 @@ def test_the_second_pass_knows_the_wet_end_before_it_gets_there() -> None:
     assert np.all(sds(there)[:3] < 0.3)
 
 
+def test_what_is_recommended_away_from_its_window_is_as_wide_as_soil_may_differ() -> None:
+    state = fold.initial(MACHINE)
+    memory, found = state.estimators["place"], state.estimators["pem"]
+
+    def widened(t_ns: int, north: float) -> float:
+        drive(memory, t_ns, north, metres=14.0)
+        known = fold.estimates_now(state)
+        before, after = (sds(known[method]) for method in ("pem", "recommended"))
+        assert after[3:] == pytest.approx(before[3:])
+        return float(np.sqrt(np.mean(after[:3] ** 2 - before[:3] ** 2)))
+
+    assert widened(2 * S, 0.0) == 0.0  # before any window pem has nothing to say
+    for k, (north, alike) in enumerate([(0.0, False), *[(200.0 * (k % 2), True) for k in range(1, 12)]]):
+        t_ns = (10 + 100 * k) * S
+        drive(memory, t_ns, north, 6.0 * k, metres=14.0)
+        found.job, made = fit_of(memory, t_ns, 14.0, 0.02 * (-1) ** k, 0.05)
+        covariance = np.diag(np.where(np.arange(len(made.mean)) < 6, 0.05**2, np.diag(made.covariance)))
+        fold.adopt(state, t_ns + 20 * S, "pem", replace(made, covariance=covariance))
+        if not alike:
+            near, far = widened(t_ns + 30 * S, 7.0), widened(t_ns + 50 * S, 200.0)
+            assert near < 0.17 < 0.2 < far
+    assert widened(2000 * S, 100.0) < 0.05  # what is the same at both ends for so long is so between them
+
+
 def test_a_block_that_is_fitted_again_counts_once() -> None:
     state = place.initial(MACHINE)
     drive(state, 10 * S, 0.0)
@@ -120,18 +144,24 @@ def test_a_block_that_is_fitted_again_counts_once() -> None:
     assert sds(place.estimate(state, MACHINE, 30 * S)) == pytest.approx(sds(once))
 
 
-@pytest.mark.parametrize(("begins_s", "left"), [(-5.0, 2), (0.0, 1), (60.0, 1), (115.0, 2)])
-def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left: int) -> None:
-    """What pem told of the same driving goes; of turns before and after it stays."""
+@pytest.mark.parametrize("first", ["rows", "pem"])
+@pytest.mark.parametrize(("begins_s", "left"), [(-5.0, 2), (0.0, 1), (60.0, 1), (100.0, 1), (115.0, 2)])
+def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left: int, first: str) -> None:
+    """What pem told of the same driving goes, also where it is told later, as its window reaches over the end
+    of the row's block; of turns before and after it stays."""
     state = place.initial(MACHINE)
     row = Record(20 * S, np.zeros((6000, 8)))
     drive(state, 10 * S, 0.0, metres=600.0)
-    fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
     mean, known = state.prior_mean, np.diag(state.prior_sd**2)
     told = Told(100.0 * np.eye(6), np.zeros(6), np.zeros(6))
-    job = rows.Job(row.end_ns, row.end_ns, [row], False, mean, known)
-    place.learn(state, job, rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told))
-    assert len(state.windows) == left and state.windows[-1].method == rows.METHOD
+    job = rows.Job(row.end_ns, row.end_ns, [row], True, mean, known)
+    made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told)
+    if first == "rows":
+        place.learn(state, job, made)
+    fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
+    if first == "pem":
+        place.learn(state, job, made)
+    assert len(state.windows) == left and any(window.method == rows.METHOD for window in state.windows)
 
 
 def test_it_is_bounded_and_the_nearest_become_one() -> None:

@@ -13,7 +13,6 @@ from tilth.estimator.results.recommend import (
     RECOMMENDATION,
     RECOMMENDED,
     SINCE_CHANGE,
-    WINDOWS,
     disagreement,
     recommend,
 )
@@ -89,13 +88,13 @@ CASES: tuple[tuple[str, tuple[Estimate, ...], str, str], ...] = (
     ),
     (
         "soil in patches",
-        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.99, WINDOWS: 4.0}), estimate("pem")),
+        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.99}), estimate("pem")),
         "place",
         "differs from place to place",
     ),
     (
         "one soil",
-        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.5, WINDOWS: 4.0}), estimate("pem")),
+        (replace(estimate("place", sd=0.2), excitation={PATCHY: 0.5}), estimate("pem")),
         "pem",
         "first of",
     ),
@@ -147,19 +146,12 @@ def test_the_rule(case: str, given: tuple[Estimate, ...], chosen: str, rule: str
 
 
 def test_of_a_place_the_rig_is_what_pem_knows_of_it() -> None:
-    of_place = replace(estimate("place"), excitation={PATCHY: 0.99, WINDOWS: 4.0})
+    of_place = replace(estimate("place"), excitation={PATCHY: 0.99})
     best = recommend(
         by_method(of_place, replace(estimate("pem"), nuisances={"wheel_zero": (0.01, 0.001)})), 7
     )
     assert best.rule is not None and best.rule.code is Code.IN_PATCHES
     assert best.nuisances == {"wheel_zero": (0.01, 0.001)}
-
-
-def test_two_windows_do_not_show_patches() -> None:
-    """The prior says so nearly alone."""
-    of_place = replace(estimate("place"), excitation={PATCHY: 0.96, WINDOWS: 2.0})
-    best = recommend(by_method(of_place, estimate("pem")), 7)
-    assert best.rule is not None and best.rule.code is Code.FIRST_WITH_NUMBERS
 
 
 def test_the_last_recommendation_is_not_one_of_the_methods() -> None:
