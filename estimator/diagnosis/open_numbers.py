@@ -5,7 +5,7 @@ The tracker itself is a method (methods/open_tracker.py); the fold hands its evi
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ _STIFFNESSES: Final = np.array([1.0 * (name in ("C_af", "C_ar", "C_ai")) for nam
 """... and all tyres are stiffer than they are learned: by the same logarithm."""
 
 
-class Misfit(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Misfit:
     """Difference between what the open tracker finds and the file. Arrays by OPEN or HYPOTHESES."""
 
     total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom
