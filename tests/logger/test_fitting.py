@@ -16,14 +16,12 @@ from circle import demo_machine
 from logs import MACHINE_TEXT as PACKAGED
 from logs import Live, results_of
 
-from tilth.estimator.diagnosis import open_numbers
-from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import pem, rows, two_step
-from tilth.estimator.methods.estimators import ESTIMATORS, ROW
+from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_json_data
-from tilth.logger.fit_worker import as_text, in_order, job_sha256, of_text
+from tilth.logger.fit_worker import as_text, in_order, job_sha256
 from tilth.logger.fitting import GIVEN_UP, LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.job import OUT_OF_MEMORY
@@ -495,19 +493,3 @@ def test_elsewhere_a_fit_that_is_as_good_goes_on_from_the_logged_one(
     used = replayed.outcome(pem.METHOD, job, 9)
     assert as_text(used) == as_text(here if ties is None else there)
     assert replayed.ties == (ties or 0)
-
-
-def test_what_a_fit_of_rows_tells_of_the_file_is_itself_again_when_the_log_is_read() -> None:
-    """A result is used as it is read back from its text: a tuple with names came back as a list, and the
-    estimators stopped with the first fit of rows that told of the file."""
-    n = len(open_numbers.NAMES)
-    ones = np.ones(n + 1)
-    misfit = open_numbers.Misfit(3.0, ones[1:], ones[1:], ones, 2.0 * ones, np.ones((6, n + 1)))
-    made = rows.Fit(
-        np.zeros(len(unknowns.NAMES)), np.eye(len(unknowns.NAMES)), 0.9, 0.01, 120.0, 5, 1.0, False, False,
-        None, None, misfit,
-    )  # fmt: skip
-    again = of_text(rows.METHOD, as_text(made))
-    told = ROW[rows.METHOD].fitting.of_file(again)  # type: ignore[union-attr]
-    assert told is not None and told[1] == 120.0
-    assert told[0].by_name == pytest.approx(misfit.by_name)
