@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from tilth.estimator import fold
 from tilth.estimator.filters import scoring, unknowns
@@ -41,6 +42,8 @@ from tilth.simulator.scenario import (
 )
 from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
+
+threadpool_limits(1)  # as fits have it in the product
 
 Array = NDArray[np.float64]
 Changed = Callable[[Machine], Machine]
@@ -310,7 +313,8 @@ class Followed:
     """What was published in a run. Times are s of the truth."""
 
     logs: Array  # (6,) true logarithms before any change
-    series: dict[str, Array]  # method -> (m, 13): time, six logarithms, their sds; not a number: no number
+    series: dict[str, Array]
+    """Method -> (m, 14): time, six logarithms, their sds, sd of log C_ai/m_i; not a number: no number."""
     events: list[tuple[float, str, str]]  # (time, kind, text)
     wheel: Array  # (n,) rad, true wheel angle at samples STEP_S apart
     refused: dict[str, int]  # reason -> stretches
@@ -331,13 +335,15 @@ def followed(run: Driven, watch: Callable[[fold.State, Estimate], None] | None =
         for publication in publications:
             value = publication.value
             if isinstance(value, Estimate):
-                series.setdefault(value.method, []).append([run.seconds_of(value.t_ns), *numbers(value)])
                 last[value.method] = value
                 if watch is not None:
                     watch(state, value)
                 ratio, sd = (*value.per_mass, *[None] * 3)[2], (*value.per_mass_sd, *[None] * 3)[2]
-                if ratio is not None and sd is not None:
-                    over_mass[value.method] = math.log(ratio) - true_log, sd / ratio
+                log_sd = math.nan if ratio is None or sd is None else sd / ratio
+                if ratio is not None and math.isfinite(log_sd):
+                    over_mass[value.method] = math.log(ratio) - true_log, log_sd
+                row = [run.seconds_of(value.t_ns), *numbers(value), log_sd]
+                series.setdefault(value.method, []).append(row)
             elif isinstance(value, Event):
                 events.append((run.seconds_of(value.t_ns), value.kind, event_sentence(value)))
     tables = {method: np.array(rows) for method, rows in series.items()}

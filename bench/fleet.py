@@ -11,9 +11,9 @@ stopped at any time, and --summary prints all tables of what is there; --first g
 `python bench/estimation.py fleet` prints the first table. What else the fleet is asked: bench/wrong_files.py,
 watch.py and calibration.py with --fleet.
 
-Times count from when the wheels first turn beyond INFORMED. A file "has numbers" where C_af, C_ar and C_ai
-are given with sds of 30 % at most. Numbers are judged as they were given last, though they may have been
-withdrawn since. z is an error over its sd, both of natural logarithms.
+Times count from when the wheels first turn beyond INFORMED. A file "has numbers" where C_af, C_ar, and C_ai
+or C_ai over the implement's mass, are given with sds of 30 % at most. Numbers are judged as they were given
+last, though they may have been withdrawn since. z is an error over its sd, both of natural logarithms.
 """
 
 import math
@@ -164,9 +164,13 @@ def _harm(rows: Array, logs: Array) -> tuple[int, int]:
 
 
 def _given(rows: Array, end: float) -> bool:
-    """Whether C_af, C_ar and C_ai are given at a time, s. rows: as Followed.series."""
+    """Whether C_af, C_ar, and C_ai or C_ai over the mass, are given at a time, s. rows: as Followed.series;
+    what is not a number is not given."""
     at = int(np.searchsorted(rows[:, 0], end, side="right")) - 1
-    return at >= 0 and bool(np.all(rows[at, 7:10] <= GIVEN_SD))  # what is not a number is not
+    if at < 0:
+        return False
+    front, rear, implement, over_mass = rows[at, [7, 8, 9, 13]] <= GIVEN_SD
+    return bool(front and rear and (implement or over_mass))
 
 
 # All of them.

@@ -8,6 +8,12 @@ Drive k is of rig k of simulator/fleet.py, whose owner's file the fit is given; 
 and roughness of the ground go round by `cell_of`. The bound and the own share are those of the true drive
 (studies/rows/bound.py, own_share.py). What is done is kept, a line each, and not done again.
 
+Three rows go on from there. `hours` drives blocks of ten minutes, each on other ground, until --minutes are
+over, and each is fitted from the posterior of the one before, as the daemon does; in `ten_hours` the row that
+was driven stands for all blocks (row_hours.py). `held_out` drives 30 s of another row and of a headland turn,
+and follows the implement's way from the true start with what was fitted, with the true parameters, and with
+those of the file.
+
 z is an error over its sd, both of natural logarithms. An sd more than 10 % below the bound is a fault. Of
 each drive: error (sd, bound) of the six in %, rms of the wheel angle and of what is the steering's own in it,
 and its share: by another drive without ground, by past innovations at the truth, and as the fit says.
@@ -15,7 +21,7 @@ and its share: by another drive without ground, by past innovations at the truth
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,22 +41,27 @@ from estimation_table import (
     percents,
     print_rows,
 )
+from held_out import Way, distances
 from numpy.typing import NDArray
+from row_hours import hours_lines, in_pieces, of_block
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-from studies.rows.bound import bound_of
+from studies.rows.bound import bound_of, together
 from studies.rows.own_share import own_of
 from studies.rows.study import longest
+from tilth.analysis.fit.rig import fitted_rig
+from tilth.estimator.filters import unknowns
 from tilth.estimator.methods import rows
-from tilth.estimator.record.record import Record, concatenate
+from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, concatenate
+from tilth.estimator.results.method_state import drifted
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
-from tilth.simulator.fleet import FleetRig, drawn, ground_of, scenario_of
+from tilth.simulator.fleet import FleetRig, drawn, ground_of, headlands_of, scenario_of
 from tilth.simulator.fleet_files import owners_text, true_machine
-from tilth.simulator.scenario import Autosteer, CannotBeDriven, RowSteering, Scenario
+from tilth.simulator.scenario import Autosteer, CannotBeDriven, Fieldwork, RowSteering, Scenario
 
 Array = NDArray[np.float64]
 Result = dict[str, Any]
@@ -67,6 +78,10 @@ REACH: Final = (0.92, 0.98, 0.25, 0.85, 0.4, 1.5)
 REACH_TEXT: Final = (
     "pooled 92 to 98 % hold, mean z ± 0.25; each ≥ 85 %, ± 0.4; sd ≤ 1.5 times the bound, none < 0.9"
 )
+HELD_OUT: Final = "held_out"
+HOURS: Final = "hours"
+PIECES: Final = "ten_hours"
+TEN_HOURS: Final = 60  # blocks
 MAKES: Final[tuple[Literal["pid", "valve", "pursuit"], ...]] = ("pid", "valve", "pursuit")
 PLANTS: Final[tuple[Literal["planar", "spatial"], ...]] = ("planar", "spatial")
 GROUNDS: Final = (0.005, 0.010, 0.015)  # m, rms
@@ -108,6 +123,10 @@ ROWS: Final[dict[str, Change]] = {
     "drift": lambda k, scenario: replace(scenario, wheel=replace(scenario.wheel, zero_drift_degps=0.3 / 600)),
     "slope": _sloping,
     "nothing_own": lambda k, scenario: _steered(scenario, own=0.0),
+    "held_out": lambda k, scenario: scenario,  # after which what was found is tried
+    "hours": lambda k, scenario: scenario,
+    "ten_hours": lambda k, scenario: scenario,  # after which it stands for all blocks of them
+    "limit_cycle": lambda k, scenario: _steered(scenario, make="valve", own=0.0, slack_deg=0.1),
     "dither": lambda k, scenario: _steered(scenario, own=0.0, dither_deg=0.3),
 }
 """What differs from the usual row, of drive k."""
@@ -116,7 +135,8 @@ ROWS: Final[dict[str, Change]] = {
 class Fit(NamedTuple):
     """What a method says of a row."""
 
-    mean: Array  # (6,), logarithms
+    mean: Array  # (n,), of unknowns.NAMES
+    covariance: Array  # (n, n), without errors of the model
     sd: Array  # (6,)
     own_share: float
     refused: str | None  # why the method would not use it
@@ -127,7 +147,7 @@ def fit(machine: Machine, records: list[Record]) -> Fit:
     state = rows.initial(machine)
     found = rows.fit(machine, rows.Job(0, records[-1].end_ns, records, False, state.mean, state.covariance))
     sd = np.sqrt(np.diag(found.covariance)[:6] + state.model_sd**2)
-    return Fit(found.mean[:6], sd, found.own_share, found.refused)
+    return Fit(found.mean, found.covariance, sd, found.own_share, found.refused)
 
 
 # One drive.
@@ -173,8 +193,13 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
     count, every = (round(s / SEGMENT_S) for s in (SHORT_S[0], sum(SHORT_S)))
     short = [usable[k : k + count] for k in range(0, len(usable) - count + 1, every)]
     said = fit(file, [concatenate(each) for each in (short if row == "short" else [usable])])
+    if row == PIECES:
+        times, metres = BLOCK_MINUTES / minutes, rig.speed * 60.0 * BLOCK_MINUTES
+        result["blocks"] = in_pieces(file, said.covariance, times, metres, TEN_HOURS, number)
+    if row == HELD_OUT:
+        result |= {"ways": ways_on(rig, asked, file, said.mean)}
     return result | {
-        "error": (said.mean - run.logs).tolist(), "sd": said.sd.tolist(), "bound": least.sd.tolist(),
+        "error": (said.mean[:6] - run.logs).tolist(), "sd": said.sd.tolist(), "bound": least.sd.tolist(),
         "step": least.step.tolist(), "said_share": said.own_share, "refused": said.refused,
         "unexplained": least.unexplained, "wheel_deg": own.driven_deg, "own_deg": own.own_deg,
         "share": own.share, "seconds": SEGMENT_S * len(usable) - SETTLING_S, "made_s": made_s,
@@ -182,17 +207,91 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
     }  # fmt: skip
 
 
+# What comes after it.
+
+
+def ways_on(rig: FleetRig, row: Scenario, file: Machine, found: Array) -> dict[str, list[float]]:
+    """rms distance of the implement from its true way, m, over WAY_S of another row and of a headland turn:
+    with the six that were found, those that are true, and those that the file says, all else as it is. found:
+    (n,) of unknowns.NAMES."""
+    machine, way = true_machine(rig), {}
+    field = Fieldwork(length=40.0, turns=headlands_of(rig), position_sd=0.008, autosteer=Autosteer("pid"))
+    for name, steering, seconds in (("row", row.steering, 2 * WAY_S), ("turn", field, 4 * WAY_S)):
+        asked = replace(row, seed=row.seed + ANOTHER, seconds=seconds, steering=steering)
+        truth = drive(machine, asked.seed, seconds, asked)
+        run = Driven(file, truth, machine)
+        usable = longest([
+            segment for pose, segment in poses_and_segments(run) if run.seconds_of(pose.t_ns) >= BEGIN_S
+        ])  # fmt: skip
+        count = round(WAY_S / SEGMENT_S)
+        parts = [concatenate(usable[k : k + count]) for k in range(0, len(usable) - count + 1, 10)]
+        record = max(parts, key=lambda part: float(np.ptp(part.ticks[:, WHEEL_ANGLE])))
+        true, at_s = Way(truth.time, truth.states, truth.rig), run.seconds_of(record.t_ns)
+        wheel = truth.nuisances["wheel_zero"], truth.nuisances["wheel_gain"]
+        made = [fitted_rig(file, point) for point in (found, unknowns.prior(file)[0])]
+        by_six = [truth.rig._replace(**{name: getattr(one, name) for name in PARAMETERS}) for one in made]
+        rigs = by_six[0], truth.rig, by_six[1]
+        way[name] = [distances(true, record, at_s, one, wheel, level=True)[1] for one in rigs]
+    return way
+
+
+WAY_S: Final = 30.0
+ANOTHER: Final = 1_000_000  # on the seed, of another drive of the same rig
+
+
+def follow_hours(first: int, minutes: float, k: int) -> Result:
+    """Drive number first + k, block after block."""
+    number, began = first + k, time.perf_counter()
+    rig, asked = scenario_for("usual", number, min(minutes, BLOCK_MINUTES))
+    result: Result = {"row": f"{NAME} {HOURS}", "seed": k, "first": first, "scale": minutes, "rig": number}
+    machine, file = true_machine(rig), parse_machine(owners_text(rig))
+    state, bounds, whole, out = rows.initial(file), [], (BEGIN_S, asked.seconds), []
+    for block in range(1, max(1, round(minutes / BLOCK_MINUTES)) + 1):
+        asked = replace(asked, seed=number + ANOTHER * block)
+        try:
+            truth = drive(machine, asked.seed, asked.seconds, asked)
+        except CannotBeDriven as error:
+            return result | {"undriven": str(error)}
+        bounds.append(bound_of(machine, truth, whole, file))
+        run = Driven(file, truth, machine)
+        usable = longest([
+            segment for pose, segment in poses_and_segments(run) if run.seconds_of(pose.t_ns) >= BEGIN_S
+        ])  # fmt: skip
+        record = concatenate(usable)
+        state.before_m += rig.speed * len(record.ticks) * TICK_NS * 1e-9
+        known = drifted(state, state.before_covariance, state.before_m)
+        state.job = rows.Job(0, record.end_ns, [record], True, state.before_mean.copy(), known)
+        made = rows.fit(file, state.job)
+        rows.adopt(state, file, made, record.end_ns)
+        sd, least = np.sqrt(np.diag(rows.published_covariance(state))), together(bounds)
+        refused = made.refused and made.refused.value
+        out.append(of_block(state.mean[:6] - run.logs, sd, least, refused, made.changed))
+    return result | {"blocks": out, "made_s": time.perf_counter() - began}
+
+
+BLOCK_MINUTES: Final = 10.0
+
+
 # The table.
 
 
 def row(name: str, first: int, bench: Bench) -> list[Line]:
     """The lines of the table; drives that a file has are not made again."""
-    have = spatial_rows.kept(bench, f"{NAME} {name}", first)
+    have, usual = (spatial_rows.kept(bench, f"{NAME} {each}", first) for each in (name, "usual"))
+    if name == HOURS:
+        made = bench.each(
+            partial(follow_hours, first, bench.scale), 6, have, partial(spatial_rows.keep, bench)
+        )
+        return hours_lines(made)
     run = partial(follow, name, first, bench.scale)
-    return lines_of(bench.each(run, 12, have, partial(spatial_rows.keep, bench)))
+    made = bench.each(run, 12, have, partial(spatial_rows.keep, bench))
+    if name == PIECES:
+        return hours_lines(made)
+    return lines_of(made, {} if name == "usual" else usual)
 
 
-def lines_of(made: Sequence[Result]) -> list[Line]:
+def lines_of(made: Sequence[Result], usual: Mapping[int, Result] | None = None) -> list[Line]:
+    """usual: seed -> the same drives without what is special of these, as far as there are such."""
     driven = [one for one in made if "error" in one and not one["refused"]]
     withheld = [one for one in made if "error" in one and one["refused"]]
     lines = [
@@ -205,7 +304,7 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
     for name in ("all", *MAKES, *PLANTS):
         chosen = [one for one in driven if name in ("all", one["make"], one["plant"])]
         lines += _held(name, chosen)
-    return [*lines, *_each(driven), *_drives(driven)]
+    return [*lines, *_each(driven), *_over_usual(driven, usual or {}), *_ways(driven), *_drives(driven)]
 
 
 def _array(made: Sequence[Result], key: str) -> Array:
@@ -243,6 +342,32 @@ def _each(made: Sequence[Result]) -> Iterator[Line]:
             hits >= least * len(z) and abs(mean) <= far and middle <= wide and faults == 0,
             (hits / len(z), mean, middle, from_truth),
         )
+
+
+def _over_usual(made: Sequence[Result], usual: Mapping[int, Result]) -> Iterator[Line]:
+    both = [one for one in made if "sd" in usual.get(one["seed"], {})]
+    if both:
+        over = _array(both, "sd") / _array([usual[one["seed"]] for one in both], "sd")
+        middle, most = np.median(over, axis=0), float(over.max())
+        yield Line(
+            "sds over those of the same usual rows", f"{figures(middle.tolist())}, largest {most:.2f}",
+            "≤ 1.5",
+            bool(np.all(middle <= REACH[-1])), (most,),
+        )  # fmt: skip
+
+
+def _ways(made: Sequence[Result]) -> Iterator[Line]:
+    for name in ("row", "turn"):
+        way = np.array([one["ways"][name] for one in made if "ways" in one]).reshape(-1, 3)
+        if len(way):
+            found, true, told = (float(np.sqrt(np.mean(each**2))) for each in way.T)
+            over = float(np.median(way[:, 0] / way[:, 1]))
+            yield Line(
+                f"implement's way, 30 s of a {name}",
+                f"rms over {len(way)} drives {found:.2f} m; true parameters {true:.2f}, file's {told:.2f}; "
+                f"over the true ones' {found / true:.2f}, median {over:.2f}; file's {told / true:.2f}",
+                "≤ 1.15", found <= 1.15 * true, (found, true, told),
+            )  # fmt: skip
 
 
 def _drives(made: Sequence[Result]) -> Iterator[Line]:

@@ -31,11 +31,12 @@ import numpy as np
 import psutil
 from timing import best
 
-from tilth.analysis.sensitivity.dask_batches import on_dask
 from tilth.analysis.sensitivity.designs import DISSERTATION, Design, Grid, Uniform
 from tilth.analysis.sensitivity.local import SHARE
 from tilth.analysis.sensitivity.outputs import STEP_S, WHEEL_ANGLE
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, part_of, run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, part_of, run
+from tilth.analysis.workers.dask import on_dask
+from tilth.analysis.workers.parts import Parts, here
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 from tilth.estimator.models.step_responses import FIELDS, packed_systems, step_changes

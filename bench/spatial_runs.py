@@ -175,7 +175,7 @@ def bound_at(machine: Machine, records: list[Record], point: Array) -> Array:
     setup, total, active = rig_setup(machine), np.zeros_like(known), np.flatnonzero(np.diag(known))
     for record in records:
         search = likelihood.search_of(record, setup, prior_mean, known)
-        at = likelihood.with_noise_levels(search, likelihood.evaluate(search, point))
+        at = likelihood.evaluate(search, point, levels=True)
         found = likelihood.gradient_and_information(search, at, likelihood.scores_at(search, at))[1]
         total[np.ix_(active, active)] += found - search.prior_information
     whole = total[np.ix_(active, active)] + np.diag(prior_sd[active] ** -2.0)

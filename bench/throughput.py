@@ -180,7 +180,9 @@ def latency(seconds: float) -> None:
     child.ready()
     listener = Child(subscribe, machine.zenoh.listen, f"{machine.zenoh.prefix}/{machine.name}/pose")
     with tempfile.TemporaryDirectory() as folder:
-        summary, _, _ = _until_sent(machine, text, Path(folder), child, listener)
+        cpu = cpu_s()
+        summary, sent, took_s = _until_sent(machine, text, Path(folder), child, listener)
+        share = (cpu_s() - cpu) / took_s
         listener.go()
         heard = listener.answer()
         caused = [row for path in summary.log_files for row in _poses(path)]
@@ -190,6 +192,8 @@ def latency(seconds: float) -> None:
         f"(c) {len(waits)} of {len(caused)} poses heard; from the kernel's stamp of the frame that caused it"
     )
     print(f"    to the subscriber: {quantiles(waits, 'ms')}")
+    print(f"    all that the daemon does, start and end too, at {sent / took_s:.0f} frames/s: "
+          f"{share * 100:.1f} % of a core")  # fmt: skip
 
 
 def memory(minutes: int) -> None:

@@ -11,7 +11,9 @@ from types import FrameType
 
 from tilth.cli import WrongUse, duration
 from tilth.logger.daemon import run_daemon
-from tilth.logger.machine_file import read_machine
+from tilth.logger.hitched import chosen
+from tilth.logger.machine_file import implement_of, read_machine, read_rigs
+from tilth.logger.outlets import Events
 from tilth.logger.run_summary import RunSummary
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
@@ -27,7 +29,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         help="log the buses of a machine, estimate, publish",
         description="Log the buses of a machine, estimate, publish; until Ctrl-C or SIGTERM.",
     )
-    parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
+    parser.add_argument(
+        "machine", type=Path, metavar="MACHINE.toml",
+        help="of a tractor with several implements MACHINE.toml+NAME begins with that one, else the last",
+    )  # fmt: skip
     parser.add_argument(
         "--log", type=Path, metavar="DIR", help="folder of the log, instead of the machine file's"
     )
@@ -42,8 +47,14 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost, not recorded, or none came at all."""
-    machine_file = read_machine(args.machine)
+    rigs = read_rigs(args.machine)
+    events: Events = deque()
+    folder = args.log or Path(next(iter(rigs.values())).machine.log.folder)
+    named = implement_of(args.machine)
+    name = named or chosen(rigs, folder, lambda kind, told: events.append((kind, told)))
+    machine_file = read_machine(args.machine) if named else rigs[name]
     machine = machine_file.machine
+    events.extend((EventKind.MACHINE_FILE, in_words(text)) for text in unusual(machine))
     if refused := "" if args.no_zenoh else refusal(machine):
         raise WrongUse(refused)
     stopping = False
@@ -59,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         summary = run_daemon(
             machine_file,
+            rigs=rigs,
             log_folder=args.log,
             zenoh=not args.no_zenoh,
             seconds=args.seconds,
@@ -68,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
             fresh=args.fresh,
             note=args.note,
             supervisor=of_environment(os.environ),
-            events=deque((EventKind.MACHINE_FILE, in_words(text)) for text in unusual(machine)),
+            events=events,
         )
     finally:
         display.close()

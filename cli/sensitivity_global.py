@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import os
 from collections.abc import Mapping
 from contextlib import ExitStack
 from functools import partial
@@ -16,7 +15,6 @@ from rich.table import Table as RichTable
 from tilth.analysis.runs.kept import cache_folder, caches, has_room
 from tilth.analysis.runs.run import open_runs
 from tilth.analysis.sensitivity.answers import GlobalEntry, GlobalRow, LocalEntry, SensitivityAnswer
-from tilth.analysis.sensitivity.dask_batches import Certificates, DaskProblem, caution, on_dask
 from tilth.analysis.sensitivity.designs import (
     DISSERTATION,
     Design,
@@ -31,9 +29,11 @@ from tilth.analysis.sensitivity.global_page import outputs_with_indices, with_in
 from tilth.analysis.sensitivity.indices_answer import indices_answer
 from tilth.analysis.sensitivity.knowledge import of_run
 from tilth.analysis.sensitivity.outputs import SIX
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, here, run
-from tilth.cli import WrongUse, add_processes, at_least, say
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, run
+from tilth.analysis.workers.parts import LostPart
+from tilth.cli import WrongUse, at_least, say
 from tilth.cli.desk_options import check_name
+from tilth.cli.parts_options import add_parts, parts_of
 from tilth.cli.progress_bar import bars
 from tilth.estimator.models.parameters import Rig
 from tilth.estimator.models.step_responses import FIELDS
@@ -80,18 +80,7 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         help="with --global: without each output's Sobol' indices, Morris's effects and bounds by "
         "derivatives",
     )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="with --global: on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786",
-    )
-    parser.add_argument(
-        "--dask-tls",
-        nargs=3,
-        metavar=("CA", "CERT", "KEY"),
-        help="with --dask tls://host:8786: certificates, PEM files of the authority and of this end",
-    )
-    add_processes(parser, "--workers")
+    add_parts(parser, "with --global: ")
 
 
 def design_of(args: argparse.Namespace) -> Design | None:
@@ -142,17 +131,6 @@ def _box(texts: list[str]) -> ParameterBox:
     return ParameterBox(tuple(ranges), lows, highs)
 
 
-def _parts(args: argparse.Namespace) -> Parts:
-    """Who computes. Raises WrongUse."""
-    if not args.dask:
-        if args.dask_tls:
-            raise WrongUse("--dask-tls needs --dask tls://host:8786")
-        return here(args.workers or os.cpu_count() or 1)
-    if text := caution(args.dask):
-        _say(text)
-    return on_dask(args.dask, Certificates(*args.dask_tls) if args.dask_tls else None)
-
-
 def _check_room() -> None:
     """Raises WrongUse, OSError."""
     if not has_room(cache_folder(), Log()):
@@ -163,7 +141,7 @@ def _check_room() -> None:
 
 def add_answers(answer: SensitivityAnswer, rig: Rig, design: Design, args: argparse.Namespace) -> None:
     """The global answers join each entry of "speeds". Raises WrongUse, OSError."""
-    parts = _parts(args)
+    parts = parts_of(args, _say)
     answer["design"] = described(design)
     with ExitStack() as stack:
         bar = bars(stack)
@@ -180,7 +158,7 @@ def add_answers(answer: SensitivityAnswer, rig: Rig, design: Design, args: argpa
                 if args.indices:
                     with_indices(found, indices_answer(plan, entry["outputs"], args.workers))
                 entry.update(cast("LocalEntry", found))
-            except (ValueError, DaskProblem) as error:
+            except (ValueError, LostPart) as error:
                 raise WrongUse(str(error)) from None
 
 

@@ -84,7 +84,7 @@ def install(box: Box, args: argparse.Namespace) -> None:
     machine = box.at(MACHINE)
     if not machine.exists() and args.machine is None:
         raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
-    dbc = None if args.machine is None else _dbc_beside(args.machine)
+    beside = [] if args.machine is None else _files_beside(args.machine)
     release = _new_release(box, args.source, args.wheels)
     try:
         _check_machine(release, args.machine or machine)
@@ -92,8 +92,8 @@ def install(box: Box, args: argparse.Namespace) -> None:
         shutil.rmtree(release)
         raise
     if args.machine is not None:
-        if dbc is not None:
-            _put(dbc, machine.with_name(dbc.name))
+        for file in beside:
+            _put(file, machine.with_name(file.name))
         _put(args.machine, machine)
     if args.keys is not None:
         _put(args.keys, machine.with_name(KEYS), 0o640)
@@ -102,24 +102,31 @@ def install(box: Box, args: argparse.Namespace) -> None:
     _switch(box, release)
 
 
-def _dbc_beside(machine: Path) -> Path | None:
-    """The DBC file that a machine file names and that goes with it; None where it names none, or one that
-    stays where it is. Raises Failed: what root copies is told by a file that may be anybody's."""
+def _files_beside(machine: Path) -> list[Path]:
+    """What a machine file names and goes with it: a DBC file, and files of implements. Not what it names by
+    an absolute path, which stays where it is. Raises Failed: what root copies is told by a file that may be
+    anybody's."""
     try:
         plain = tomllib.loads(machine.read_text(encoding="utf-8-sig"))
     except ValueError as error:
         raise Failed(f"{machine}: {error}") from None
-    section = plain.get("wheel_angle")
-    name = section.get("dbc") if isinstance(section, dict) else None
-    if not isinstance(name, str) or Path(name).is_absolute():
-        return None  # the service's user reads it there, if that user may
-    taken = ("", Path(MACHINE).name, KEYS)
-    if name != Path(name).name or name.startswith(".") or "\0" in name or name in taken:
-        raise Failed(f"{machine}: wheel_angle.dbc = {name!r}: give the name of a DBC beside the machine file")
-    dbc = machine.parent / name
-    if dbc.is_symlink() or not dbc.is_file():
-        raise Failed(f"{dbc}: is no plain file; put the DBC file itself beside the machine file")
-    return dbc
+    named: list[tuple[str, object]] = []
+    for section, key in (("wheel_angle", "dbc"), ("implements", "files")):
+        table = plain.get(section)
+        told = table.get(key) if isinstance(table, dict) else None
+        named += [(f"{section}.{key}", name) for name in (told if isinstance(told, list) else [told])]
+    files = []
+    for key, name in named:
+        if not isinstance(name, str) or Path(name).is_absolute():
+            continue  # the service's user reads it there, if that user may
+        taken = ("", Path(MACHINE).name, KEYS)
+        if name != Path(name).name or name.startswith(".") or "\0" in name or name in taken:
+            raise Failed(f"{machine}: {key} = {name!r}: give the name of a file beside the machine file")
+        file = machine.parent / name
+        if file.is_symlink() or not file.is_file():
+            raise Failed(f"{file}: is no plain file; put the file itself beside the machine file")
+        files.append(file)
+    return files
 
 
 def upgrade(box: Box, args: argparse.Namespace) -> None:
@@ -251,10 +258,13 @@ def _constraints(wheel: Path, path: Path) -> Path:
 
 _READ = """
 import sys
-from tilth.logger.machine_file import read_machine
+try:
+    from tilth.logger.machine_file import read_rigs
+except ImportError:  # a release of before: of one implement
+    from tilth.logger.machine_file import read_machine as read_rigs
 from tilth.schemas.machine import MachineError
 try:
-    read_machine(sys.argv[1])
+    read_rigs(sys.argv[1])
 except MachineError as error:
     sys.exit(str(error))
 """

@@ -13,8 +13,9 @@ Code of numba counts who holds each array: a call with a tuple of twenty arrays 
 instructions. In a filter's run that was half of the time. An inner kernel makes no array, so it does without.
 
 numba also optimises all that a function calls anew with each of its callers: code seven calls deep seven
-times. So a step of a long chain that has few callers is inline. A function with many callers, or a short one,
-compiles sooner by itself.
+times. So a step of a long chain that has few callers is inline, and the arrays of a run are made in Python,
+not by a kernel around its loop. A function with many callers, or a short one, compiles sooner by itself. Each
+type of an argument is compiled for, and to numba the constant 0 is one of its own.
 """
 
 import importlib.util
@@ -29,7 +30,8 @@ from tilth.estimator.kernel_digest import INLINE, INNER, KernelFunction, called
 P = ParamSpec("P")
 R = TypeVar("R")
 
-OPTIONS: Final = {"nogil": True}  # of the compiler
+OPTIONS: Final = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""Of the compiler. As numpy's arrays, kernels divide by zero without an error; nobody needs a C function."""
 
 Finish = Callable[[FunctionType, FunctionType], Any]  # (linked copy, function as written)
 
@@ -88,8 +90,8 @@ class Kernel(KernelFunction, Generic[P, R]):
         The code is stored on disk if a folder for it can be written. Raises NotDigestible, also where numba
         is absent, so that a mistake in a kernel shows on every computer.
         """
-        kernel_digest.check_arguments(self.function, args)
         known = kernel_digest.readings(self.function)
+        kernel_digest.check_arguments(self.function, known, args)
         try:
             import numba
             import numpy
@@ -104,11 +106,13 @@ class Kernel(KernelFunction, Generic[P, R]):
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:
-                digest = kernel_digest.digest(written, known, versions)
+                within = written is not self.function  # who calls it from Python calls another copy
+                digest = kernel_digest.digest(written, known, f"{versions} {within}")
                 copy.__qualname__ = f"{written.__qualname__}-{digest}"
                 # numba's stubs do not name _nrt, which its own functions use in the same way.
                 inner = kernel_digest.is_marked(written, INNER)
-                options: dict[str, Any] = OPTIONS | {"cache": keep, "_nrt": not inner}
+                own = {"cache": keep, "_nrt": not inner, "no_cpython_wrapper": within}
+                options: dict[str, Any] = OPTIONS | own
                 if kernel_digest.is_marked(written, INLINE):
                     options["inline"] = "always"
                 return numba.njit(**options)(copy)

@@ -18,7 +18,7 @@ from tilth.estimator.fits import decide as decide
 from tilth.estimator.fits import finish as finish
 from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
-from tilth.estimator.methods import open_tracker, place, tracker
+from tilth.estimator.methods import open_tracker, pem, place, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
@@ -180,7 +180,7 @@ def step(state: State, frame: Frame) -> list[Publication]:
         silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, silence)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
-    now_ns = min(frame.rx_ns, frame.t_ns)  # a frame cannot be received after the loop took it
+    now_ns = frame.rx_ns if frame.rx_ns < frame.t_ns else frame.t_ns  # not received after the loop took it
     if state.recognition.before:
         _recall_addresses(state, frame, out)
     position_taken = False
@@ -396,7 +396,10 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         of_file = row.fitting.of_file(made)
         if of_file is not None:
             diagnosis.fit_tells(state.diagnosis, method, *of_file)
+    learns = isinstance(made, pem.Fit) and made.refused is None and method_state.job is not None
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
+    if learns:
+        diagnosis.windows_tell(state.diagnosis, open_tracker.of_windows(state.machine, method_state))
     _publish_events(state, t_ns, row, out, foreseen)
     _publish_estimates(state, t_ns, [estimate], out)
     return out

@@ -12,7 +12,7 @@ import dis
 import hashlib
 import inspect
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cache
 from types import CodeType, EllipsisType, FunctionType, ModuleType, NoneType
@@ -112,12 +112,13 @@ def digest(function: FunctionType, known: Mapping[FunctionType, Reading], versio
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def check_arguments(function: FunctionType, args: tuple[Any, ...]) -> None:
-    """Check that the annotations name each NamedTuple type among the arguments: else its fields are not read.
+def check_arguments(function: FunctionType, known: Iterable[FunctionType], args: tuple[Any, ...]) -> None:
+    """Check that the annotations of what is compiled together name each NamedTuple type among the arguments:
+    else its fields are not read.
 
     Raises NotDigestible.
     """
-    missing = _types_of(args) - set(_annotated(function))
+    missing = _types_of(args).difference(*map(_annotated, known))
     if missing:
         names = ", ".join(sorted(kind.__qualname__ for kind in missing))
         raise NotDigestible(

@@ -15,7 +15,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 27
+VERSION: Final = 28
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 

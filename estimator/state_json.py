@@ -94,6 +94,9 @@ def _build(kind: Any, data: Any, given: Mapping[str, Any]) -> Any:
         return _build_dataclass(kind, data, given)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(data)
+    if isinstance(kind, type) and issubclass(kind, tuple) and kind is not tuple:  # a NamedTuple
+        _check_form(tuple[Any, ...], data)
+        return kind(*(_build(a, item, given) for a, item in zip(_hints(kind).values(), data, strict=True)))
     if not isinstance(data, _LEAVES.get(kind, object)):
         raise TypeError(f"{str(data)[:20]!r} is no {getattr(kind, '__name__', kind)}")
     return data
@@ -125,7 +128,7 @@ _LEAVES: dict[Any, Any] = {bool: _NUMBER, int: _NUMBER, float: _NUMBER, str: str
 
 @cache
 def _hints(kind: Any) -> dict[str, Any]:
-    """Annotations of a dataclass; they are evaluated once."""
+    """Annotations of a dataclass or a NamedTuple; they are evaluated once."""
     return typing.get_type_hints(kind, include_extras=True)
 
 

@@ -33,6 +33,11 @@ class WarmStartTuning:
 WARM_START: Final = WarmStartTuning()
 
 
+def share_left(elapsed_s: float) -> float:
+    """Of the information that a run had, so much later."""
+    return float(4.0 ** (-elapsed_s / WARM_START.doubles_s))
+
+
 @dataclass(frozen=True, slots=True)
 class SavedPosterior:
     """What one method had learned when a run ended."""
@@ -90,7 +95,6 @@ def resume(
 
 def _refusal(memory: Memory, fresh: Learned, saved: SavedPosterior) -> Code | None:
     """Why a saved posterior cannot be used."""
-    """Why a saved posterior cannot be used, or ""."""
     prior = fresh.covariance
     active = np.diag(prior) > 0.0
     expected = (memory.names, prior.shape[:1], prior.shape)
@@ -119,7 +123,7 @@ def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: flo
         covariance[k, :] = covariance[:, k] = 0.0
         covariance[k, k] = prior[k, k]
     block = np.ix_(active, active)
-    share = 4.0 ** (-elapsed_s / WARM_START.doubles_s)
+    share = share_left(elapsed_s)
     saved_information, prior_information = np.linalg.inv(covariance[block]), np.linalg.inv(prior[block])
     information = share * saved_information + (1.0 - share) * prior_information
     vector = share * saved_information @ mean[active] + (1.0 - share) * prior_information @ prior_mean[active]

@@ -2,22 +2,25 @@
 
 `python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it:
 the build of a wheel, the installer. With "-" it is the recorder's own process (logger/preparing.py): the
-machine comes in a line, what goes out are lines that say how far it is.
+machine comes in a line, what goes out are lines that say how far it is. Each has a second process beside it
+("fits"), on another core: what one has compiled the other finds on disk. That one begins with what only rows
+need, so that they don't both compile the rig's motion.
 """
 
 import contextlib
 import os
 import stat
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any, Final, NamedTuple
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.methods.estimators import rows_for
-from tilth.logger.child import unpacked
+from tilth.logger.child import packed, unpacked, words_of
 from tilth.logger.fit_worker import in_order, rehearse
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.machine import Machine, MachineError
@@ -31,6 +34,9 @@ UNTRUSTED: Final = (
     "can be written by others, so compiled kernels are not taken from there: every start compiles them anew; "
     "empty that folder, and let nobody but this user write it (chmod go-w)"
 )
+SECONDS: Final = {"over_ticks": 5.0, "motion_by_parameter": 4.9, "motion_by_state": 3.2, "motion": 0.8}
+"""How long functions that take long take to compile; measured, of a processor that does other work too."""
+OTHERS_S: Final = 0.25
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
 
 
@@ -89,33 +95,38 @@ def prepare(machine: Machine, progress: Progress) -> float:
     raise CompilingStopped.
     """
     began: list[float] = []
-    uncompiled = set[
-        CodeType
-    ]()  # functions still to be compiled; the second kernel to call one finds it kept
-    work = functions = 0
+    uncompiled: set[FunctionType] = set()  # the second kernel to call one finds it kept
+    work, functions = 0.0, 0
 
     def begins(code: CodeType) -> None:
         nonlocal work, functions
         if not began:
             began.append(time.monotonic())
-            waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
-            uncompiled.update(f.__code__ for kernel in waiting for f in kernel.functions())
-            work, functions = _size(uncompiled), len(uncompiled)
+            uncompiled.update(_functions_of(machine))
+            work, functions = _work(uncompiled), len(uncompiled)
             progress(KernelsDone(0, functions, 0.0))
 
     def ended(code: CodeType) -> None:
-        if code in uncompiled:  # not one of numba's own, nor one for other types
-            uncompiled.remove(code)
-            share = min(1.0 - _size(uncompiled) / work, MOST)
+        found = next((one for one in uncompiled if one.__code__ is code), None)
+        if found is not None:  # not one of numba's own, nor one for other types
+            uncompiled.remove(found)
+            uncompiled.intersection_update(_functions_of(machine))  # without those of kernels found on disk
+            share = min(1.0 - _work(uncompiled) / work, MOST)
             progress(KernelsDone(functions - len(uncompiled), functions, share))
 
     _call(machine, begins, ended)
     return time.monotonic() - began[0] if began else 0.0
 
 
-def _size(functions: set[CodeType]) -> int:
-    """Estimated work of compiling them: proportional to their length."""
-    return sum(len(code.co_code) for code in functions)
+def _functions_of(machine: Machine) -> set[FunctionType]:
+    """Those of kernels that were not called yet, and of what they call."""
+    waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
+    return {function for kernel in waiting for function in kernel.functions()}
+
+
+def _work(functions: set[FunctionType]) -> float:
+    """About how long they take to compile, as SECONDS."""
+    return sum(SECONDS.get(function.__name__, OTHERS_S) for function in functions)
 
 
 def _call(machine: Machine, on_start: Callable[[CodeType], None], on_end: Callable[[CodeType], None]) -> None:
@@ -203,8 +214,17 @@ def keeping_in(folder: str) -> Iterator[None]:
 
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
+    if words == ["fits"]:
+        machine = unpacked(sys.stdin.buffer.readline())
+        for fitting in in_order(machine):
+            fitting.rehearse_alone()
+        for fitting in in_order(machine):
+            rehearse(fitting, machine)
+        return 0
     if words == ["-"]:
-        prepare(unpacked(sys.stdin.buffer.readline()), lambda done: _print(" ".join(map(str, done))))
+        machine = unpacked(sys.stdin.buffer.readline())
+        with _fits_beside(machine):
+            prepare(machine, lambda done: _print(" ".join(map(str, done))))
         return 0
     try:
         if len(words) != 1:
@@ -213,10 +233,26 @@ def main(words: list[str]) -> int:
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    prepare(machine, lambda done: None if done.share else _print(TEXT))
+    with _fits_beside(machine):
+        prepare(machine, lambda done: None if done.share else _print(TEXT))
     for fitting in in_order(machine) if _compiles() else ():
         rehearse(fitting, machine)
     return 0
+
+
+@contextlib.contextmanager
+def _fits_beside(machine: Machine) -> Iterator[None]:
+    """A second process compiles what fits call, if there is a core for it. What it can't do is done later."""
+    if not _compiles() or len(os.sched_getaffinity(0)) < 2:
+        yield
+        return
+    words = words_of("tilth.logger.compiling", "fits")  # it ends with this process
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as beside:
+        assert beside.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it ended at once
+            beside.stdin.write(packed(machine) + b"\n")
+            beside.stdin.flush()
+        yield
 
 
 def _print(text: str) -> None:

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tilth.estimator.fold import RECOMMENDED
-from tilth.logger.accept_log import KEY as ACCEPT
 from tilth.logger.accept_log import AcceptLog
 from tilth.logger.address_memory import AddressMemory
 from tilth.logger.can.bus_opening import open_port
@@ -21,6 +20,7 @@ from tilth.logger.can.buses import Buses
 from tilth.logger.can.port_threads import Opener
 from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
+from tilth.logger.hitched import Hitched, Rigs
 from tilth.logger.keeping import Keeping
 from tilth.logger.live_estimation import LiveEstimation
 from tilth.logger.log.mcap_log import ClockReason
@@ -37,7 +37,7 @@ from tilth.logger.zenoh.liveness import Sensors
 from tilth.logger.zenoh.place_ahead import PlaceAhead
 from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
-from tilth.schemas.flow import Event, EventKind, Frame, Measurement, Ready, UtcTime
+from tilth.schemas.flow import AddressClaim, Event, EventKind, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -57,6 +57,7 @@ class Daemon:
         suffix: str | None,
         display: Display,
         *,
+        rigs: Rigs | None = None,
         keep: bool = False,
         fresh: bool = False,
         note: str = "",
@@ -65,10 +66,11 @@ class Daemon:
         opener: Opener = open_port,
         events: Events | None = None,
     ) -> None:
-        """suffix: of the Zenoh prefix, None to publish nothing. keep: go on from what earlier runs in that
-        folder learned, unless `fresh`, and keep it for later ones. note, simulated: for the log, as of
-        RunPart. supervisor: is notified that the loop lives. opener: opens a bus. events: (kind, notice) that
-        is put in here is logged, published and shown like what the daemon notices itself.
+        """rigs: of a tractor with several implements, machine_file's among them. suffix: of the Zenoh
+        prefix, None to publish nothing. keep: go on from what earlier runs in that folder learned, unless
+        `fresh`, and keep it for later ones. note, simulated: for the log, as of RunPart. supervisor: is
+        notified that the loop lives. opener: opens a bus. events: (kind, notice) that is put in here is
+        logged, published and shown like what the daemon notices itself.
 
         Raises MachineError for a wheel-angle sensor or a bus interface that cannot work.
         """
@@ -92,19 +94,16 @@ class Daemon:
             addresses=lambda: fold.known_addresses, with_state=warmed, note=note, simulated=simulated,
         )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
-        marks, accepts = MarkLog(fold, clock, outlets), AcceptLog(fold, clock, outlets)
         run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
-        sensors = Sensors(machine)
         self.parts = RunParts(
-            clock, supervisor, estimation, buses, outlets, marks, accepts, run_report, sensors, counts
-        )
+            clock, supervisor, estimation, buses, outlets, MarkLog(fold, clock, outlets),
+            AcceptLog(fold, clock, outlets), Hitched(rigs, machine_file, folder, clock, outlets), run_report,
+            Sensors(machine), counts,
+        )  # fmt: skip
         if not fold.ready:
             self._log_ready(estimation.preparing.text)
         if suffix is not None:
-            answers = {
-                "mark": marks.marks.take, ACCEPT: accepts.requests.take, **run_report.answers,
-                place_ahead.KEY: PlaceAhead(fold.estimate_at).take,
-            }  # fmt: skip
+            answers = {**self.parts.answers, place_ahead.KEY: PlaceAhead(fold.estimate_at).take}
             outlets.open_zenoh(lambda: ZenohSink(machine, suffix, answers=answers))
         self._status = pb.Status()  # the last
         self._next_second_ns = counts.started_ns
@@ -136,24 +135,34 @@ class Daemon:
         parts.outlets.put_events()
         parts.marks.turn()
         parts.accepts.turn()
+        parts.hitched.turn()
         parts.run_report.turn()
         ended_ns = parts.clock.t_ns()
         parts.counts.turned(ended_ns - began_ns)
         parts.supervisor.turned(ended_ns)
         return len(frames)
 
+    @property
+    def following(self) -> MachineFile | None:
+        """The rig of the run that is to begin now, where another implement has been hitched on."""
+        hitched = self.parts.hitched
+        return hitched.rigs[hitched.following] if hitched.following else None
+
     def close(self) -> RunSummary:
         """Take what the buses have still got, finish the log, end the session."""
         parts = self.parts
-        parts.supervisor.stopping()
+        if self.following is None:
+            parts.supervisor.stopping()
         deadline_ns = parts.clock.t_ns() + SECOND_NS
         # Each of these, whatever happens to the others; the lowest first.
         with contextlib.ExitStack() as last:
-            last.callback(parts.supervisor.close)
+            if self.following is None:
+                last.callback(parts.supervisor.close)
             last.callback(parts.outlets.close)
             last.callback(parts.outlets.put_events)
             last.callback(parts.marks.turn)
             last.callback(parts.accepts.turn)
+            last.callback(parts.hitched.turn)
             last.callback(parts.outlets.recording.close)
             last.callback(parts.run_report.close)
             last.callback(parts.estimation.worker.close)
@@ -176,6 +185,8 @@ class Daemon:
             value = publication.value
             if isinstance(value, Measurement):
                 parts.sensors.take(value)
+                if isinstance(value, AddressClaim):
+                    parts.hitched.heard(value.origin.name)
                 if isinstance(value, UtcTime):
                     parts.clock.add_gnss_time(value.rx_ns, value.utc_ns)
             elif isinstance(value, Event):
@@ -215,6 +226,7 @@ class Daemon:
 def run_daemon(
     machine_file: MachineFile,
     *,
+    rigs: Rigs | None = None,
     log_folder: Path | None = None,
     zenoh: bool = True,
     simulated: str = "",
@@ -227,26 +239,37 @@ def run_daemon(
     supervisor: Supervisor | None = None,
     events: Events | None = None,
 ) -> RunSummary:
-    """Run until `stop()` or for so many seconds; the log file is whole in any case.
+    """Run until `stop()` or for so many seconds; the log file is whole in any case. With another implement a
+    run ends and one begins.
 
     log_folder: instead of the machine file's. zenoh: whether to publish. simulated: the command that drives
     instead of a tractor, for the log; what is published is under the replay prefix then. status: where to
-    show, if anywhere. keep, fresh, note, supervisor, events: as of Daemon. Raises MachineError,
+    show, if anywhere. rigs, keep, fresh, note, supervisor, events: as of Daemon. Raises MachineError,
     as Daemon does.
     """
     folder = Path(machine_file.machine.log.folder) if log_folder is None else log_folder
     suffix = (SIMULATED_SUFFIX if simulated else "") if zenoh else None
     display = status or NoDisplay()
-    daemon = Daemon(
-        machine_file, folder, suffix, display,
-        keep=keep, fresh=fresh, note=note, simulated=simulated, supervisor=supervisor, events=events,
-    )  # fmt: skip
-    # What exists by now stays: the collector need not look at it again and again.
-    gc.collect()
-    gc.freeze()
-    try:
-        while not stop() and (seconds is None or daemon.uptime_s < seconds):
-            daemon.turn()
-    finally:  # also of an error nobody foresaw: the log is whole
-        summary = daemon.close()
+    summary: RunSummary | None = None
+    following: MachineFile | None = machine_file
+    while following is not None:
+        daemon = Daemon(
+            following, folder, suffix, display, rigs=rigs,
+            keep=keep, fresh=fresh, note=note, simulated=simulated, supervisor=supervisor, events=events,
+        )  # fmt: skip
+        # What exists by now stays: the collector need not look at it again and again.
+        gc.collect()
+        gc.freeze()
+        before_s = 0.0 if summary is None else summary.seconds
+        try:
+            while not stop() and (seconds is None or before_s + daemon.uptime_s < seconds):
+                daemon.turn()
+                if daemon.following is not None:
+                    break
+        finally:  # also of an error nobody foresaw: the log is whole
+            ended = daemon.close()
+            summary = ended if summary is None else ended.after(summary)
+        following = daemon.following
+        fresh, events = False, None
+    assert summary is not None
     return summary

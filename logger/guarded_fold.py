@@ -58,6 +58,9 @@ from tilth.schemas.sentences import sentence
 
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
+HearFit = Callable[[State, str, Any], None]
+"""Takes the state, in which the job of the fit is pending still; its method; its result, None if there is
+none."""
 _METHOD_OF = {  # topic -> method, of all channels that carry estimates
     channel.topic: channel.topic.removeprefix("/soil_tire").removeprefix("/") or RECOMMENDED
     for channel in CHANNELS
@@ -75,11 +78,12 @@ class GuardedFold:
         fitter: Fitter | None = None,
         *,
         encoded: bool = True,
+        hear_fit: HearFit | None = None,
     ) -> None:
         """The fold before the first frame, or as `renew` wrote it. Raises NotRestorable for another's text.
 
         fitter: makes the fits that are asked for; None: at once, here. encoded: False where nobody reads the
-        bytes of what it gives; they are empty then.
+        bytes of what it gives; they are empty then. hear_fit: told of each fit before it is used.
         """
         # For good: a sum that is split among threads is rounded otherwise, and waiting threads take a core.
         threadpool_limits(1)
@@ -89,6 +93,7 @@ class GuardedFold:
         self.estimates = dict(self.state.estimates)  # method -> the last, also of a fault
         self._machine = machine
         self._fitter = fitter or InPlace(machine)
+        self._hear_fit = hear_fit
         if self.state.accepted:
             self._fitter.use(self.state.machine)
         self._decided: list[tuple[FitOutcome, object]] = []  # outcomes to be used at the next frame
@@ -185,7 +190,8 @@ class GuardedFold:
 
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """The publications that a frame causes, each with its bytes as logged and published."""
-        if self._resume_ns - PAUSE_NS <= frame.t_ns < self._resume_ns:  # not of a clock that stepped back
+        resume_ns = self._resume_ns
+        if frame.t_ns < resume_ns and frame.t_ns >= resume_ns - PAUSE_NS:  # not of a clock that stepped back
             return []
         try:
             publications = []
@@ -263,7 +269,7 @@ class GuardedFold:
                 outcome = FitOutcome(t_ns, method, job.asked_ns, made is not None)
                 if outcome.adopted:
                     outcome, made = self._with_result(outcome, job, made)
-                out += [Publication(t_ns, FIT_TOPIC, outcome), *adopt(self.state, t_ns, method, made)]
+                out += [Publication(t_ns, FIT_TOPIC, outcome), *self._use(t_ns, method, made)]
             self._ask(t_ns)
         return out
 
@@ -288,9 +294,15 @@ class GuardedFold:
         for outcome, made in decided:
             waiting = {method: job for method, job, _ in pending(self.state)}
             if outcome.method in waiting and waiting[outcome.method].asked_ns == outcome.asked_ns:
-                out += adopt(self.state, t_ns, outcome.method, made)
+                out += self._use(t_ns, outcome.method, made)
         self._due_ns = self._first_due_ns()
         return out
+
+    def _use(self, t_ns: int, method: str, made: Any) -> list[Publication]:
+        """Use the result of a method's pending fit; made: None if there is none."""
+        if self._hear_fit is not None:
+            self._hear_fit(self.state, method, made)
+        return adopt(self.state, t_ns, method, made)
 
     def keep(self, t_ns: int) -> dict[str, SavedPosterior]:
         """Method -> what it has learned, for the next run."""
@@ -302,9 +314,14 @@ class GuardedFold:
         return list(self.state.diagnosis.watch.moved)
 
     @property
-    def contradicted(self) -> bool:
-        """Whether the data contradict the machine file now."""
-        return bool(diagnosis.contradictions(self.state.diagnosis))
+    def confirmed(self) -> bool:
+        """Whether the data have confirmed the machine file."""
+        return self.state.diagnosis.confirmed
+
+    @property
+    def contradicted(self) -> list[str]:
+        """What the data contradict of the machine file now, in sentences."""
+        return [sentence(one.reason) for one in diagnosis.contradictions(self.state.diagnosis)]
 
     def warm(
         self,

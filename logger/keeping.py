@@ -51,4 +51,4 @@ class Keeping:
     def _standing(self) -> tuple[int, tuple[str, ...], bool]:
         """What the next run has to know at once: values accepted, what has been moved, a contradiction."""
         moved = tuple(name for one in self._fold.unsettled for name in one.names)
-        return len(self._fold.accepted), moved, self._fold.contradicted
+        return len(self._fold.accepted), moved, bool(self._fold.contradicted)

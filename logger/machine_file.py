@@ -1,13 +1,14 @@
-"""Opens a machine file and the DBC file that it names."""
+"""Opens a machine file, and the files that it names: of implements, and a DBC file."""
 
 import codecs
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import MachineError
-from tilth.schemas.machine_toml import MachineFile, parse_machine
+from tilth.schemas.machine_toml import MachineFile, joined, parse_machine
 from tilth.schemas.readable import reason_of
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
@@ -16,23 +17,81 @@ _LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4
 
 
 def read_machine(path: Path | str) -> MachineFile:
-    """A machine file.
+    """A machine file; of a tractor with several implements TRACTOR.toml+NAME, with one of them.
 
-    Relative wheel_angle.dbc and zenoh.config count from the machine file's folder. Raises MachineError in one
-    sentence.
+    Relative wheel_angle.dbc, zenoh.config and implements.files count from the machine file's folder. Raises
+    MachineError in one sentence.
     """
-    path = Path(path)
+    path, name = _parted(Path(path))
+    rigs = read_rigs(path)
+    if not name and len(rigs) == 1:
+        return next(iter(rigs.values()))
+    if name in rigs:
+        return rigs[name]
+    if not name:
+        raise MachineError(f"{path}: {_one_of(rigs)}; say which, such as {path}+{next(iter(rigs))}")
+    if "" in rigs:
+        raise MachineError(f"{path}: it has no [implements], so there is no {name} among them")
+    raise MachineError(f"{path}: no implement {name}; {_one_of(rigs)}")
+
+
+def read_rigs(path: Path | str) -> dict[str, MachineFile]:
+    """Each rig that a machine file describes, by the implement's name, in the order of its [implements]; one
+    alone, by "", where it has none. Raises MachineError."""
+    path = _parted(Path(path))[0]
     text = _text(path, "machine file")
-    dbc = _dbc_name(text)
-    dbc_text = None if dbc is None else _text(path.parent / dbc, "wheel_angle.dbc", otherwise=_ANSI)
+    files = _told(text, "implements", "files")
+    if not isinstance(files, list) or not files or not all(isinstance(file, str) for file in files):
+        return {"": _machine(path, text)}  # which refuses, in words, what is none of these
+    rigs: dict[str, MachineFile] = {}
+    for of in (path.parent / file for file in files):
+        own = _text(of, "file of an implement")
+        try:
+            if unfilled := _unfilled(own):
+                raise MachineError(unfilled)
+            whole = joined(text, own)
+        except MachineError as error:
+            raise MachineError(f"{of}: {error}") from None
+        machine_file = _machine(path, whole, of)
+        name = machine_file.machine.implement.name or ""
+        if name in rigs:
+            raise MachineError(f'{of}: name = "{name}" is that of another implement too; each needs its own')
+        rigs[name] = machine_file
+    return rigs
+
+
+def _machine(path: Path, text: str, of: Path | None = None) -> MachineFile:
+    """of: the implement's file, where it has one."""
+    dbc = _told(text, "wheel_angle", "dbc")
+    dbc_text = (
+        None if not isinstance(dbc, str) else _text(path.parent / dbc, "wheel_angle.dbc", otherwise=_ANSI)
+    )
     try:
+        if _told(text, "implement", "name") and _told(text, "machine", "name") is None:
+            raise MachineError("a file of an implement; give the tractor's, which names it in [implements]")
         machine = parse_machine(text, dbc_text)
     except MachineError as error:
-        raise MachineError(f"{path}: {_unfilled(text) or error}") from None
+        where = path if of is None else f"{path} with {of}"
+        raise MachineError(f"{where}: {_unfilled(text) or error}") from None
     if machine.zenoh.config is not None:
         zenoh = machine.zenoh.model_copy(update={"config": str(path.parent / machine.zenoh.config)})
         machine = machine.model_copy(update={"zenoh": zenoh})
     return MachineFile(machine, text)
+
+
+def implement_of(path: Path | str) -> str:
+    """The NAME of TRACTOR.toml+NAME; "" where there is none."""
+    return _parted(Path(path))[1]
+
+
+def _parted(path: Path) -> tuple[Path, str]:
+    """Of TRACTOR.toml+NAME the file and the name; "" where it has none."""
+    file, plus, name = path.name.rpartition("+")
+    return (path.with_name(file), name) if plus and file.endswith(".toml") else (path, "")
+
+
+def _one_of(rigs: Iterable[str]) -> str:
+    return f"it pulls one of {', '.join(rigs)}"
 
 
 def _unfilled(text: str) -> str:
@@ -44,14 +103,13 @@ def _unfilled(text: str) -> str:
     return f'{place} still marked "FILL IN"; write the value of each after its ='
 
 
-def _dbc_name(text: str) -> str | None:
-    """wheel_angle.dbc, where the text is good enough to say so; parse_machine explains what is wrong."""
+def _told(text: str, section: str, key: str) -> object:
+    """What a key says, where the text is good enough to say so; parse_machine explains what is wrong."""
     try:
-        section = tomllib.loads(text).get("wheel_angle")
+        found = tomllib.loads(text).get(section)
     except tomllib.TOMLDecodeError:
         return None
-    name = section.get("dbc") if isinstance(section, dict) else None
-    return name if isinstance(name, str) else None
+    return found.get(key) if isinstance(found, dict) else None
 
 
 def _text(path: Path, what: str, otherwise: str = "") -> str:

@@ -42,7 +42,7 @@ class Preparing:
         self._report = report
         self._done = KernelsDone(0, 0, 0.0)
         self._began_s: float | None = None  # monotonic
-        self._left_s = math.inf  # as it was said last
+        self._foretold = (0.0, math.inf)  # when a kernel was done last, monotonic, and what was left then, s
         self._job: Job | None = None
         self._closing = False
         self._lock = threading.Lock()  # of the two before
@@ -61,11 +61,12 @@ class Preparing:
 
     @property
     def remaining_s(self) -> float | None:
-        """About how long it still takes, never more than was said before; None where that is not known."""
-        if self.ready or self._began_s is None or self._done.share < SURE:
+        """About how long it still takes, less each time it is asked for; None where not known."""
+        at_s, left_s = self._foretold
+        if self.ready or math.isinf(left_s):
             return None
-        self._left_s = min(self._left_s, (time.monotonic() - self._began_s) * (1.0 / self._done.share - 1.0))
-        return self._left_s
+        # A second less each second at first; where a kernel takes longer than foretold, ever more slowly.
+        return left_s * left_s / max(left_s + time.monotonic() - at_s, 1e-9)
 
     def close(self) -> None:
         with self._lock:
@@ -143,6 +144,11 @@ class Preparing:
     def _progress(self, done: KernelsDone) -> None:
         if self._closing:
             raise compiling.CompilingStopped
+        now_s = time.monotonic()
         if not done.functions:
-            self._began_s, self._left_s = time.monotonic(), math.inf
+            self._began_s, self._foretold = now_s, (now_s, math.inf)
+        elif self._began_s is not None and done.share >= SURE:
+            said_s = self.remaining_s
+            left_s = (now_s - self._began_s) * (1.0 / done.share - 1.0)
+            self._foretold = (now_s, min(left_s, left_s if said_s is None else said_s))
         self._done = done

@@ -1,11 +1,18 @@
 """All open parts of one run, and the status and summary made from them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import zenoh
+
+from tilth.logger.accept_log import KEY as ACCEPT
 from tilth.logger.accept_log import AcceptLog
 from tilth.logger.can.buses import Buses
 from tilth.logger.clock import Clock
+from tilth.logger.hitched import KEY as IMPLEMENT
+from tilth.logger.hitched import Hitched
 from tilth.logger.live_estimation import LiveEstimation
+from tilth.logger.log.marks import KIND as MARK
 from tilth.logger.log.software import software
 from tilth.logger.mark_log import MarkLog
 from tilth.logger.outlets import Outlets
@@ -27,9 +34,20 @@ class RunParts:
     outlets: Outlets
     marks: MarkLog
     accepts: AcceptLog
+    hitched: Hitched
     run_report: RunReport
     sensors: Sensors
     counts: LoopCounts
+
+    @property
+    def answers(self) -> dict[str, Callable[[zenoh.Query, str], None]]:
+        """What takes the orders on each key."""
+        return {
+            MARK: self.marks.marks.take,
+            ACCEPT: self.accepts.requests.take,
+            IMPLEMENT: self.hitched.requests.take,
+            **self.run_report.answers,
+        }
 
 
 def build_status(parts: RunParts, t_ns: int) -> pb.Status:
@@ -50,6 +68,8 @@ def build_status(parts: RunParts, t_ns: int) -> pb.Status:
         rejected=[pb.Count(reason=reason, count=n) for reason, n in all_rejected(parts).items()],
         preparing=estimation.preparing.text,
         ready_in_s=estimation.preparing.remaining_s,
+        implement=parts.hitched.name,
+        implements=parts.hitched.rigs if len(parts.hitched.rigs) > 1 else [],
         moved=[pb.Moved(names=names, text=text) for names, text in estimation.fold.moved],
     )
     log_status(status, recording)
@@ -68,6 +88,7 @@ def all_rejected(parts: RunParts) -> dict[str, int]:
         Rejection.STAMP: parts.clock.bad_stamps,
         Rejection.MARK: parts.marks.marks.refused,
         Rejection.ACCEPT: parts.accepts.requests.refused,
+        Rejection.IMPLEMENT: parts.hitched.requests.refused,
     }
     return rejected(parts.estimation.fold.rejected, parts.buses.live_buses, other)
 

@@ -1,8 +1,10 @@
 """Counts of a run under way, and its summary at the end."""
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from tilth.schemas.flow import Estimate, Frame
 
@@ -54,3 +56,24 @@ class RunSummary:
     bad_stamps: int
     faults: int  # of the estimators
     problems: tuple[str, ...]  # at the end
+
+    @property
+    def seconds(self) -> float:
+        return (self.ended_ns - self.started_ns) * 1e-9
+
+    def after(self, earlier: Self) -> Self:
+        """Of both runs, of which this one is the later."""
+        counts = {key: getattr(self, key) + getattr(earlier, key) for key in _COUNTS}
+        first_ns = earlier.first_frame_ns
+        return replace(
+            self,
+            started_ns=earlier.started_ns,
+            first_frame_ns=self.first_frame_ns if first_ns is None else first_ns,
+            last_frame_ns=earlier.last_frame_ns if self.last_frame_ns is None else self.last_frame_ns,
+            rejected=dict(Counter(self.rejected) + Counter(earlier.rejected)),
+            log_files=(*earlier.log_files, *self.log_files),
+            **counts,
+        )
+
+
+_COUNTS = "frames", "measurements", "poses", "recorded", "not_recorded", "lost", "bad_stamps", "faults"

@@ -164,7 +164,7 @@ def panel(
                 for e in events
             ),
         ),
-        title=f"Tilth  {machine}",
+        title=f"Tilth  {machine}{status.implement and ' + '}{status.implement}",
         border_style="green" if healthy else "red",
     )
 

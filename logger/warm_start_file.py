@@ -1,4 +1,4 @@
-"""`<log folder>/<machine>.warm.json`: what a run has learned, for the next one.
+"""`<log folder>/<machine>+<implement>.warm.json`: what a run has learned, for the next one.
 
 It belongs to a machine as its file describes it: where a part of that has changed, what was learned before is
 of another rig. What a run takes from it stands as the first state in its log.
@@ -47,7 +47,7 @@ class NotUsable(Exception):
 
 def path_of(folder: Path, machine: Machine) -> Path:
     """Where what the estimators learned of a machine is stored, in the log folder."""
-    return folder / f"{machine.name}.warm.json"
+    return folder / f"{machine.rig}.warm.json"
 
 
 def text_of(
@@ -107,10 +107,11 @@ def _time_ns(told: int) -> int:
 
 
 def _digests(machine: Machine) -> dict[str, str]:
-    """Section -> digest of what it says, defaults included."""
+    """Section -> digest of what it says, defaults included, and without what an implement is called."""
 
     def digest(section: Any) -> str:
-        plain = [one.model_dump(mode="json") for one in section]
+        called = {"name", "names"} if section == [machine.implement] else None
+        plain = [one.model_dump(mode="json", exclude=called) for one in section]
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]
 
     sections = {name: getattr(machine, name) for name in SECTIONS}

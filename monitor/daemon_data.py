@@ -150,6 +150,11 @@ class DaemonData:
         in the loop's own thread."""
         return self._log("accept", name)
 
+    def implement(self, name: str) -> MarkAnswer:
+        """Ask for a run with this implement, and wait until that is in the log. Not in the loop's own
+        thread."""
+        return self._log("implement", name)
+
     def _log(self, key: str, text: str) -> MarkAnswer:
         if not self.base:
             return MarkAnswer(False, f"no daemon has been heard yet: the {key} is not in the log")

@@ -49,6 +49,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/language.js", "language.js", "text/javascript"),
     ("/german.js", "german.js", "text/javascript"),
     ("/marks.js", "marks.js", "text/javascript"),
+    ("/implement.js", "implement.js", "text/javascript"),
     ("/moved.js", "moved.js", "text/javascript"),
     ("/words.js", "words.js", "text/javascript"),
     ("/tiles.js", "tiles.js", "text/javascript"),
@@ -210,6 +211,7 @@ def _orders(daemon_data: DaemonData, asked: PageQuery) -> list[Route]:
     answers = {
         "/mark": _noted(daemon_data.mark),
         "/accept": _noted(daemon_data.accept),
+        "/implement": _noted(daemon_data.implement),
         "/player": _ordered(order_of, daemon_data.order),
         "/experiment": _ordered(_kind, daemon_data.experiment),
         "/calibration": _ordered(_kind, daemon_data.calibration),

@@ -14,7 +14,7 @@ from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import ReplayedFits
-from tilth.logger.guarded_fold import GuardedFold
+from tilth.logger.guarded_fold import GuardedFold, HearFit
 from tilth.logger.log.mcap_log import LogWriter
 from tilth.replay.compare import COMPARED, Comparison
 from tilth.replay.readers.any_log import metadata, open_log, place
@@ -72,6 +72,9 @@ class ReplaySummary:
     flags: dict[str, Flagged] = field(default_factory=dict)
     unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
     left_out: list[str] = field(default_factory=list)  # of rejected["other_time"]: whose frames, in words
+    confirmed: bool = False  # whether the data confirm the machine file, at the end
+    contradicted: list[str] = field(default_factory=list)  # what of it they contradict then, in sentences
+    moved: list[str] = field(default_factory=list)  # what has moved and was neither accepted nor put back
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +86,7 @@ class ReplayOutputs:
     comparison: Comparison | None = None
     pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
     progress: Callable[[int], None] | None = None  # takes the number of bytes read so far
+    fit: HearFit | None = None  # told of each fit before it is used
 
 
 class Pace:
@@ -171,7 +175,9 @@ class _Run:
         self._unknown_before = self._unknown_now()
 
     def _new_fold(self, state_json: str | None = None) -> GuardedFold:
-        return GuardedFold(self._machine, state_json, self.fitter, encoded=self._encoded)
+        return GuardedFold(
+            self._machine, state_json, self.fitter, encoded=self._encoded, hear_fit=self._outputs.fit
+        )
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
         comparison = self._outputs.comparison
@@ -200,20 +206,24 @@ class _Run:
             self._say(f"{log.path}: {gap}")
 
     def _records(self, log: OpenLog, buses: Mapping[str, str]) -> None:
-        pace, progress, summary = self._outputs.pace, self._outputs.progress, self.summary
+        writer, pace, progress = self._outputs.writer, self._outputs.pace, self._outputs.progress
+        summary, goes_on = self.summary, self.fitter.holds_outcomes  # a clock of tilth's is never set
         time, before_ns = LogTime(), summary.duration_ns
         for record in on_buses_of(self._machine, log, buses, self._say):
             if self._anew and not isinstance(record, Gap):
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
                 log_time.take_stamp(time, record)
-                # A clock of tilth's is never set.
-                even_ns = time.silent_ns if self.fitter.holds_outcomes else 0
-                summary.duration_ns = before_ns + time.passed_ns + even_ns
+                summary.duration_ns = before_ns + time.passed_ns + (time.silent_ns if goes_on else 0)
                 if pace is not None:
                     pace(time.latest_ns)
                 summary.frames += 1
-                self._frame(record)
+                if writer is not None:
+                    writer.frame(record)
+                fold = self._fold
+                self._waited += not fold.state.ready
+                if given := fold.take(record):
+                    self._put(given)
                 if progress is not None and summary.frames % PROGRESS_FRAMES == 0:
                     progress(self._read_bytes + log.position())
             else:
@@ -253,13 +263,6 @@ class _Run:
             self._outputs.comparison.lose_track()
         self._put([(event, payload(event))])
         self._fold.ready = True  # that they became so may be what is missing
-
-    def _frame(self, frame: Frame) -> None:
-        if self._outputs.writer is not None:
-            self._outputs.writer.frame(frame)
-        self._waited += not self._fold.ready
-        if given := self._fold.take(frame):
-            self._put(given)
 
     def _fit(self, record: Logged) -> None:
         """Take the logged outcome of a fit: the fit is used at the next frame, as it was live."""
@@ -308,14 +311,13 @@ class _Run:
         writer, publish = self._outputs.writer, self._outputs.publish
         comparison = self._outputs.comparison
         for publication, data in publications:
-            topic = publication.topic
-            value = publication.value
-            if isinstance(value, Event):
+            topic, value = publication.topic, publication.value
+            if isinstance(value, Pose):
+                self._flag(value)
+            elif isinstance(value, Event):
                 self.summary.events.append(value)
                 if value.kind in REPORTED_KINDS:
                     self._say(event_sentence(value))
-            elif isinstance(value, Pose):
-                self._flag(value)
             if writer is not None:
                 writer.message(topic, publication.t_ns, data)
             if publish is not None:
@@ -402,6 +404,9 @@ class _Run:
         for (kind, reason), count in self._counts.items():
             if kind == "rejected" and count > 0:
                 self.summary.rejected[reason] = count
+        self.summary.confirmed = self._fold.confirmed
+        self.summary.contradicted = self._fold.contradicted
+        self.summary.moved = [text for _, text in self._fold.moved]
         self.summary.faults += self._fold.faults
         self._fold.faults = 0
 

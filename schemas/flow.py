@@ -8,12 +8,13 @@ clockwise from north, right turns and right-hand wheel angles positive, roll pos
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import IntEnum, StrEnum
 from typing import Final
 
 from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Advice, Combination, Reason
+from tilth.schemas.values import dataclass
 
 Word = float | int | str
 
@@ -416,6 +417,7 @@ class EventKind(StrEnum):
     FAULT = "fault"  # of the program
     FIT = "fit"
     GAP = "gap"
+    IMPLEMENT = "implement"  # another is hitched on
     LOG = "log"
     MACHINE_FILE = "machine_file"  # says something unusual
     MARK = "mark"  # by the operator; the words are theirs

@@ -23,8 +23,28 @@ class MachineError(Exception):
     """The machine file is wrong; the text says where and what to do."""
 
 
+def _hexadecimal(raw: Any) -> int:
+    if isinstance(raw, str) and len(raw) == 16 and set(raw) <= set(string.hexdigits):
+        return int(raw, 16)
+    raise ValueError('a NAME is written as 16 hexadecimal digits in quotes, such as "A00017000421E240"')
+
+
+_HexName = Annotated[
+    int,
+    BeforeValidator(_hexadecimal, json_schema_input_type=Annotated[str, Field(pattern="^[0-9A-Fa-f]{16}$")]),
+]
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
+
+
 class MachineName(_Section):
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", description="part of every Zenoh key")
+    name: str = Field(pattern=_NAME, description="part of every Zenoh key")
+
+
+class Implements(_Section):
+    """Of a tractor that pulls one of several: each has a file, with its [implement], [tyres.implement] and
+    receivers, which is joined to this one (machine_toml.joined)."""
+
+    files: list[str] = Field(min_length=1, description="relative to this one")
 
 
 class Ballast(_Section):
@@ -101,6 +121,14 @@ class Tractor(_Section):
 class Implement(_Section):
     """Distances of the towed single-axle implement, m."""
 
+    name: str | None = Field(
+        default=None,
+        pattern=_NAME,
+        description="by which it is told from others; needed in a file of its own",
+    )
+    names: list[_HexName] = Field(
+        default=[], description="64-bit NAMEs of its own control units, by which it is known when hitched on"
+    )
     d: Taped = Field(description="hitch to its CG, m; a number alone is taken to 2 cm")
     e: Taped = Field(description="CG to the axle, behind, m; a number alone is taken to 2 cm")
     mass: Exact = Field(description="kg, without its ballast")
@@ -179,18 +207,6 @@ class Bus(_Section):
         if self.request_claims and self.interface == "mavlink":
             raise ValueError("request_claims: an autopilot's bus is only listened to; leave it out")
         return self
-
-
-def _hexadecimal(raw: Any) -> int:
-    if isinstance(raw, str) and len(raw) == 16 and set(raw) <= set(string.hexdigits):
-        return int(raw, 16)
-    raise ValueError('a NAME is written as 16 hexadecimal digits in quotes, such as "A00017000421E240"')
-
-
-_HexName = Annotated[
-    int,
-    BeforeValidator(_hexadecimal, json_schema_input_type=Annotated[str, Field(pattern="^[0-9A-Fa-f]{16}$")]),
-]
 
 
 class Receiver(_Section):
@@ -338,6 +354,7 @@ class Machine(_Section):
     """A whole machine file."""
 
     machine: MachineName
+    implements: Implements | None = None
     tractor: Tractor
     implement: Implement
     tyres: Tyres
@@ -351,6 +368,11 @@ class Machine(_Section):
     @property
     def name(self) -> str:
         return self.machine.name
+
+    @property
+    def rig(self) -> str:
+        """The machine and, where it has a name, the implement: what estimates belong to."""
+        return f"{self.name}+{self.implement.name}" if self.implement.name else self.name
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -2,7 +2,7 @@
 
 import hashlib
 import tomllib
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
@@ -10,6 +10,8 @@ from tilth.schemas.ballast import as_driven
 from tilth.schemas.file_problem import sentence
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.plausible import refuse_impossible
+
+OF_IMPLEMENT: Final = "[implement], [tyres.implement] and the receivers on the implement"
 
 
 class MachineFile(NamedTuple):
@@ -44,3 +46,56 @@ def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = T
     if plausible:
         refuse_impossible(machine)
     return machine
+
+
+def joined(tractor: str, implement: str) -> str:
+    """The text of a machine file, of the tractor's, which has [implements], and of one of these.
+
+    It is a machine file like one that was written in one piece: a log holds it, and needs no other. Raises
+    MachineError.
+    """
+    one, other = _tables(tractor), _tables(implement)
+    if stray := _of_implement(one):
+        raise MachineError(
+            f"{stray[0]}: a file with [implements] leaves {OF_IMPLEMENT} to the files it names"
+        )
+    if stray := sorted({f"[{key}]" for key in _leaves(other)} - set(_of_implement(other))):
+        raise MachineError(f"{stray[0]}: a file of an implement holds {OF_IMPLEMENT}, and nothing else")
+    if not isinstance(section := other.get("implement"), dict) or "name" not in section:
+        raise MachineError('implement.name: missing; give name = "…", by which it is told from others')
+    text = f"{tractor.rstrip()}\n\n# The implement, of a file of its own:\n\n{implement}"
+    expected = one | other
+    for key in ("tyres", "receiver"):
+        if key in one and key in other:
+            expected[key] = one[key] | other[key] if key == "tyres" else [*one[key], *other[key]]
+    try:
+        if tomllib.loads(text) == expected:
+            return text
+    except tomllib.TOMLDecodeError:
+        pass
+    raise MachineError("write each part as a table under a [heading], not in { } on one line")
+
+
+def _tables(text: str) -> dict[str, Any]:
+    """Raises MachineError."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise MachineError(f"not a TOML file: {error}") from None
+
+
+def _leaves(raw: dict[str, Any]) -> list[str]:
+    """What a file holds, its tyres by the axle and its receivers by the mount."""
+    tyres, receivers = raw.get("tyres", {}), raw.get("receiver", [])
+    return [
+        *(key for key in raw if key not in ("tyres", "receiver")),
+        *(f"tyres.{axle}" for axle in (tyres if isinstance(tyres, dict) else [""])),
+        *(f"receiver {one.get('mount', '')}" for one in receivers if isinstance(one, dict)),
+    ]
+
+
+def _of_implement(raw: dict[str, Any]) -> list[str]:
+    return [
+        f"[{key}]" for key in _leaves(raw)
+        if key in ("implement", "tyres.implement") or key.startswith("receiver implement")
+    ]  # fmt: skip

@@ -56,6 +56,8 @@ class Code(StrEnum):
     NO_STEADY_TURN_EXISTS = "no_steady_turn_exists"
     NOT_CONVERGED = "not_converged"
     BEYOND_TYRES = "beyond_tyres"
+    TWO_PLACES = "two_places"
+    """Other tyres, more than a sd away, explain the window about as well."""
     OUTPUTS_NOT_MEASURED = "outputs_not_measured"
     NO_STEADY_TURN = "no_steady_turn"
     END_OF_SEARCH = "end_of_search"

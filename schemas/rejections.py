@@ -41,6 +41,7 @@ class Rejection(StrEnum):
     STAMP = "stamp"
     MARK = "mark"
     ACCEPT = "accept"
+    IMPLEMENT = "implement"
 
 
 def count(rejected: dict[str, int], reason: str, number: int = 1) -> None:

@@ -322,7 +322,7 @@ def _valve(
     line = _nudges(rng, made.own, len(setting.time))
     feedback = Feedback(setting.believed.wheelbase, 0.14, 0.8, 12.0)
     law = ByCurvature(feedback, taken, receiver.position[0], line, made.own * CURVATURE_STEP)
-    return law, Valve(made.own * VALVE_SLACK)
+    return law, Valve(made.own * VALVE_SLACK + math.radians(made.slack_deg))
 
 
 def _pursuit(

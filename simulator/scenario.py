@@ -90,6 +90,7 @@ class Autosteer:
     make: Literal["pid", "valve", "pursuit", "manual"]
     own: Annotated[float, Field(ge=0, le=5)] = 1.0  # factor on its own errors, dead bands and steps
     dither_deg: Annotated[float, Field(ge=0, le=2)] = 0.0  # sd of what it adds to the wheel angle it wants
+    slack_deg: Annotated[float, Field(ge=0, le=1)] = 0.0  # of a "valve", besides what `own` makes
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

@@ -1,6 +1,8 @@
 """Options of the test run, and what it makes once for all."""
 
+import gc
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,16 +13,17 @@ from typing import TYPE_CHECKING
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
-import can
 import pytest
 from logs import MACHINE
 from loopback import Sender
 from paths import ROOT
-from recorded import RUN_FOLDER
+from recorded import RUN_FOLDER, once
 
 from tilth.logger import compiling
+from tilth.logger.can.lean_can import import_can
 
 if TYPE_CHECKING:
+    import can
     from playwright.sync_api import Browser
 
 # Many tests start processes, which would each compile all that they import: three times the computing.
@@ -37,10 +40,30 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Drives and fits that a test of one process has made are there for those of the others."""
+    gc.disable()  # what is imported and collected is no garbage
+    import_can()  # before anybody else: else asammdf and pandas come along, in each process
     if RUN_FOLDER not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="tilth-tests-")
         os.environ[RUN_FOLDER] = folder.name
         config.add_cleanup(folder.cleanup)
+
+
+ONE_MARKER = re.compile(r"(\w+)( and not \w+)*")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A run of one marker reads the files that name it: to collect all takes longer than most such runs."""
+    one = ONE_MARKER.fullmatch(config.option.markexpr)
+    if one is None or collection_path.suffix != ".py":
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if f"mark.{one[1]}" in text or "sampled(" in text else True
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Whoever looks for garbage from here on does not look through modules and ten thousand tests."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -50,9 +73,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture(scope="session")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel() -> Path:
     """Of this checkout, in which an earlier build has left a module that is no longer there."""
-    folder, root = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("checkout") / "tilth"
+    return once("wheel", _built)
+
+
+def _built(folder: Path) -> Path:
+    root = folder / "checkout" / "tilth"
     others = (".*", "tests", "docs", "bench", "build", "dist", "logs", "*.egg-info", "__pycache__")
     shutil.copytree(ROOT, root, ignore=shutil.ignore_patterns(*others))
     (root / "build/lib/tilth/cli").mkdir(parents=True)
@@ -93,7 +120,9 @@ def watched_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def talker() -> Iterator[can.BusABC]:
+def talker() -> "Iterator[can.BusABC]":
     """The other end of virtual("v")."""
+    import can
+
     with can.Bus(interface="virtual", channel="tilth-v") as bus:
         yield bus

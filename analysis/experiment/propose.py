@@ -14,7 +14,6 @@ import numpy as np
 from numpy.random import default_rng
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
-from scipy.optimize import minimize
 
 from tilth.analysis.experiment.predict import Known, predicted, sds, told_by, without_log, worst_of
 from tilth.analysis.fit.window_terms import SegmentTerms
@@ -162,6 +161,8 @@ def _named(sd: Array) -> dict[str, float]:
 
 def _best(known: Known, wanted: WantedPlan, kind: str) -> BestRun:
     """Raises PlanError where it has no room."""
+    from scipy.optimize import minimize  # not before the first word
+
     numbers = NUMBERS[kind]
 
     def made(logs: Array) -> AnyRun:

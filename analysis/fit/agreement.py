@@ -17,7 +17,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
-from scipy.optimize import minimize
 from scipy.special import chdtrc  # scipy.stats takes a second to import
 
 from tilth.analysis.fit.window_terms import SegmentTerms, Terms, places
@@ -145,6 +144,8 @@ def between_sd(machine: Machine, told: Sequence[SegmentTerms], agreement: Agreem
     By restricted maximum likelihood: the mean of the six has a flat prior, what is the machine's its own.
     What each segment tells is narrowed as in `agree`.
     """
+    from scipy.optimize import minimize  # a third of a second, not before the first word
+
     sd = unknowns.prior(machine)[1][places(machine)]
     if not agreement.spread or len(told) < 2:
         return np.zeros(6)

@@ -15,6 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from tilth.analysis.fit.agreement import groups
 from tilth.analysis.fit.joint import Joint, Linearised, join, linearise
@@ -154,7 +155,12 @@ def fit_all(
     progress: Progress = lambda done, of: None,
 ) -> Fitted:  # fmt: skip
     """Fit each and join them. jobs: processes, as many as there are cores if None. Raises LogError, OSError,
-    CannotFit."""
+    CannotFit.
+
+    From here on linear algebra has one thread, also in these processes, as in the daemon: several that wait
+    for each other took 3 to 6 times the processor's time of a fit on a busy computer.
+    """
+    threadpool_limits(1)
     check_same_rig([one.run for one in wanted])
     machine = wanted[0].run.machine
     methods = (*METHODS, TWO_STEP) if two_step else METHODS

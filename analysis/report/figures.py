@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from tilth.analysis.report import drive_figures, result_figures
 from tilth.analysis.report.document import ReportFigure
 from tilth.analysis.report.figure_look import GRID, INK, LOOK, PAPER, QUIET
+from tilth.analysis.report.season_figures import SEASON_DRAWINGS
 from tilth.analysis.report.sensitivity_figures import SENSITIVITY_DRAWINGS
 from tilth.schemas.readable import readable
 
@@ -28,7 +29,7 @@ DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "response": result_figures.response,
 }
 """Of a drive, by the kind of a figure."""
-ALL_DRAWINGS: Final = {**DRAWINGS, **SENSITIVITY_DRAWINGS}
+ALL_DRAWINGS: Final = {**DRAWINGS, **SENSITIVITY_DRAWINGS, **SEASON_DRAWINGS}
 PAGE_COLOURS: Final = {INK: "var(--ink)", GRID: "var(--grid)", QUIET: "var(--quiet)", PAPER: "var(--paper)"}
 PT_PER_REM: Final = 8.5  # of a figure at its widest: its letters are then about as large as the page's
 _ID = re.compile(r' id="([^"]+)"')

@@ -88,24 +88,37 @@ def load(path: Path, kind: type[Kept]) -> Kept | None:
     It is data and no more: a file that somebody has prepared can be wrong, and runs nothing.
     """
     try:
-        stored = path.read_bytes() if path.is_file() else b""
-        digest, packed = stored[len(_HEAD) :][:_DIGEST], stored[len(_HEAD) + _DIGEST :]
-        if not stored.startswith(_HEAD) or hashlib.sha256(packed).digest() != digest:
+        return unpacked(path.read_bytes() if path.is_file() else b"", kind)
+    except OSError:
+        return None
+
+
+def unpacked(stored: bytes, kind: type[Kept]) -> Kept | None:
+    """Of the bytes of `packed`; None of any others."""
+    try:
+        digest, told = stored[len(_HEAD) :][:_DIGEST], stored[len(_HEAD) + _DIGEST :]
+        if not stored.startswith(_HEAD) or hashlib.sha256(told).digest() != digest:
             return None
-        found: Kept = from_json_data(kind, json.loads(zstandard.decompress(packed)))
-    except (OSError, ValueError, RecursionError, zstandard.ZstdError):
+        found: Kept = from_json_data(kind, json.loads(zstandard.decompress(told)))
+    except (ValueError, RecursionError, zstandard.ZstdError):
         return None
     return found
 
 
+def packed(found: object) -> bytes:
+    """As `store` writes it."""
+    told = zstandard.compress(json.dumps(to_json_data(found)).encode(), 1)
+    return _HEAD + hashlib.sha256(told).digest() + told
+
+
 def store(path: Path, found: object, log: Log) -> None:
     """Raises nothing: a cache that cannot be written costs time, no result. Nor is one on a full disk."""
-    packed = zstandard.compress(json.dumps(to_json_data(found)).encode(), 1)
+    stored = packed(found)
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         if not has_room(path.parent, log):
             return
-        whole_file.write(path, _HEAD + hashlib.sha256(packed).digest() + packed)
+        whole_file.write(path, stored)
 
 
 def replayed(

@@ -246,8 +246,8 @@ def _file_of(
     log = open_log(path)
     log.file.close()
     if log.form == MCAP and machine is None and holds_poses(path):
-        return _read_file(path)
-    return _read_file(replayed(path, machine or machine_in([path]), buses, progress, say, cache))
+        return read_file(path)
+    return read_file(replayed(path, machine or machine_in([path]), buses, progress, say, cache))
 
 
 def is_mcap(path: Path) -> bool:
@@ -265,7 +265,7 @@ def holds_poses(path: Path) -> bool:
     return next(reader.payloads("/pose"), None) is not None
 
 
-def _read_file(path: Path) -> LogFile:
+def read_file(path: Path) -> LogFile:
     """Raises OSError, ForeignLog."""
     found = brief(path)
     if found.state is FileState.NO_LOG:

@@ -10,8 +10,7 @@ import hashlib
 import io
 import os
 import zlib
-from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,6 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.analysis.fit.side_by_side import processes
 from tilth.analysis.sensitivity import accumulators
 from tilth.analysis.sensitivity.accumulators import Kept
 from tilth.analysis.sensitivity.designs import Design, LogNormal, checked
@@ -38,6 +36,7 @@ from tilth.analysis.sensitivity.outputs import (
     respond,
 )
 from tilth.analysis.sensitivity.slopes import scaled
+from tilth.analysis.workers.parts import LostPart, Parts
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.linear_analysis import eigenvalues, system
 from tilth.estimator.models.parameters import Rig
@@ -162,32 +161,12 @@ def pairs(levels: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     return found
 
 
-def stored_part(plan: GlobalPlan, start: int, stop: int) -> bytes:
-    """The same as the file that is kept of it: packed where it is computed, so that little is sent."""
-    part = part_of(plan, start, stop)
+def stored_part(plan: GlobalPlan, points: tuple[int, int]) -> bytes:
+    """A batch as the file that is kept of it. points: the first, and the one after the last."""
+    part = part_of(plan, *points)
     file = io.BytesIO()
     np.savez_compressed(file, *part.every, *part.stable, part.there, part.unstable)
     return file.getvalue()
-
-
-Parts = Callable[[GlobalPlan, Sequence[int]], Generator[tuple[int, bytes], None, None]]
-"""Of a plan and where its batches start: (start, its stored part) of each, as they are ready."""
-
-
-def here(workers: int) -> Parts:
-    """By so many processes of this computer."""
-    return partial(_here, workers)
-
-
-def _here(workers: int, plan: GlobalPlan, starts: Sequence[int]) -> Generator[tuple[int, bytes], None, None]:
-    if workers == 1:
-        for start in starts:
-            yield start, stored_part(plan, start, end_of(plan, start))
-        return
-    with processes(workers, "spawn") as pool:
-        waiting = {pool.submit(stored_part, plan, start, end_of(plan, start)): start for start in starts}
-        for future in as_completed(waiting):
-            yield waiting.pop(future), future.result()
 
 
 def run(
@@ -207,8 +186,11 @@ def run(
     missing = [start for start, file in zip(starts, files, strict=True) if _kept_part(file) is None]
     already = len(files) - len(missing)
     progress(already, len(files))
-    with closing(parts(plan, missing)) as found:
-        for done, (start, stored) in enumerate(found, already + 1):
+    batches = [(start, end_of(plan, start)) for start in missing]
+    with closing(parts(partial(stored_part, plan), batches)) as found:
+        for done, ((start, _), stored) in enumerate(found, already + 1):
+            if isinstance(stored, LostPart):
+                raise stored
             _keep(stored, start, kept)
             progress(done, len(files))
     total = _read(files[0])

@@ -74,7 +74,7 @@ class _Sum:
         self.point = point
         with np.errstate(all="ignore"):  # after a step that is too long nothing is finite; it is rejected
             self.at = [
-                likelihood.with_noise_levels(search, likelihood.evaluate(search, point, past))
+                likelihood.evaluate(search, point, past, levels=True)
                 for search, past in zip(searches, before or repeat(None, len(searches)), strict=True)
             ]
             self.each = [

@@ -15,7 +15,7 @@ import numpy as np
 
 from tilth.estimator.diagnosis import findings, open_numbers
 from tilth.estimator.diagnosis.directive import Directive
-from tilth.estimator.diagnosis.open_numbers import NAMES, OpenEvidence
+from tilth.estimator.diagnosis.open_numbers import NAMES, Misfit, OpenEvidence
 from tilth.estimator.diagnosis.widening import SEGMENT_S, WIDENING, Widening, widened, widening_of
 from tilth.estimator.pose import motion_check, receiver_checks, wheel_check
 from tilth.estimator.pose.aligner import Aligner
@@ -72,6 +72,8 @@ NOT_DRIVEN: Final = Reason(Code.NOT_DRIVEN)
 BY_METHOD: Final = frozenset({Code.METHOD_FINDS, Code.NO_TYRE})
 """Found in a method's estimate: learning goes on, so that it can end."""
 OF_OPEN_NUMBERS: Final = frozenset({Code.DRIVING_FINDS, Code.METHOD_FINDS})
+WITNESSES: Final = ("pem", "tracker")
+"""Methods that have all numbers of a file for unknowns."""
 
 
 @dataclass(slots=True)
@@ -85,6 +87,7 @@ class Consistency:
     judged: bool = False  # it is known what such errors add
     widening: Widening = field(default_factory=Widening)
     own: dict[str, Widening] = field(default_factory=dict)  # method -> the same of its numbers, by its fit
+    fit: Misfit | None = None  # what fits of whole windows find of the file
     given: dict[str, list[bool]] = field(default_factory=dict)  # method -> which of the six had a number
     was_confirmed: bool = False  # at some time of this run
     pairs_known: bool = (
@@ -110,7 +113,7 @@ def observe(
     state.was_confirmed |= state.confirmed
     state.rates_known |= receiver_checks.turn_rates_known(checks)
     found = _by_key(moved) or _found_at_pose(state, aligner, checks, pose, evidence)
-    by_method = _by_key(one for wrong in state.methods.values() for one in wrong)
+    by_method = _by_methods(state)
     if found and not any(key in state.cases for key in by_method):
         by_method = {}  # a consequence of what the other checks have found
     return _update(state, {**found, **by_method}, evidence, pose.t_ns)
@@ -185,7 +188,7 @@ def sensor_failed(state: Consistency, fault: Code | None, seen_at_once: bool) ->
     state.sensor_fault = fault
     learned = begins and not seen_at_once
     if learned:
-        state.wheel = WheelCheck()
+        state.wheel, state.fit = WheelCheck(), None
     return Directive(reset=learned, reset_open=learned)
 
 
@@ -195,7 +198,7 @@ def discard_findings(state: Consistency, confirmed: bool = False) -> None:
         key: case for key, case in state.cases.items() if case.latest.code not in OF_OPEN_NUMBERS
     }  # fmt: skip
     state.methods, state.confirmed, state.judged = {}, confirmed, confirmed
-    state.own = state.own if confirmed else {}
+    state.own, state.fit = (state.own, state.fit) if confirmed else ({}, None)
 
 
 def left_out(state: Consistency) -> None:
@@ -204,11 +207,22 @@ def left_out(state: Consistency) -> None:
     state.cases = {key: case for key, case in state.cases.items() if not _of_a_place(case.latest)}
     state.pairs_known = state.was_confirmed and not contradictions(state)
     discard_findings(state, state.pairs_known)
-    state.agrees = Persistence()
+    state.agrees, state.fit = Persistence(), None  # methods begin anew
 
 
 def _of_a_place(one: Diagnosis) -> bool:
     return bool(one.numbers) and NUMBER[one.numbers[0]].place
+
+
+def _by_methods(state: Consistency) -> dict[str, Diagnosis]:
+    """What methods find of the file. What a witness does not find that gives numbers, the other has by losing
+    its way: then only what that one says itself is withheld."""
+    witnesses = [
+        {one.key for one in state.methods[method]}
+        for method in WITNESSES if method in state.methods and any(state.given.get(method, []))
+    ]  # fmt: skip
+    found = _by_key(one for wrong in state.methods.values() for one in wrong)
+    return {key: one for key, one in found.items() if all(key in keys for keys in witnesses)}
 
 
 def _by_key(found: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
@@ -246,6 +260,8 @@ def _by_driving(state: Consistency, evidence: OpenEvidence) -> list[Diagnosis]:
         return []
     if decided:  # it keeps its key for as long as it lasts
         return decided
+    if _agreeing(state) is not None:
+        return []
     order = np.argsort(-misfit.by_name)
     names = [NAMES[k] for k in order if misfit.by_name[k] >= CONSISTENCY.rival_share * best]
     names = names[: CONSISTENCY.rivals + 1]
@@ -256,7 +272,16 @@ def _by_driving(state: Consistency, evidence: OpenEvidence) -> list[Diagnosis]:
 
 def _fits(evidence: OpenEvidence, share: float) -> bool:
     """Whether what the open tracker finds is within a share of the limits."""
-    misfit = evidence.misfit
+    return _is_near(evidence.misfit, share)
+
+
+def _agreeing(state: Consistency) -> Misfit | None:
+    """What fits of whole windows find, if it is that the file is right: they are rarely lost, a tracker is,
+    in fast chirps."""
+    return state.fit if state.fit is not None and _is_near(state.fit, CONSISTENCY.ends) else None
+
+
+def _is_near(misfit: Misfit, share: float) -> bool:
     return bool(
         float(misfit.by_name.max()) < share * CONSISTENCY.begins
         and misfit.total < share * CONSISTENCY.begins_total
@@ -298,7 +323,7 @@ def _update(
         over = reasoned(case.diagnosis.reason, NoticeCode.FITS_AGAIN, key=case.diagnosis.key)
         directive.events.append((CONTRADICTION, over))
         if case.lasted - CONSISTENCY.poses_to_end >= CONSISTENCY.poses_to_forget:
-            directive.reset = True
+            directive.reset, state.fit = True, None
             if case.latest.code not in OF_OPEN_NUMBERS:  # it has learned of it as well
                 directive.reset_open, evidence = True, evidence.restarted()
     if not contradictions(state):
@@ -318,16 +343,24 @@ def _restart_open(state: Consistency, directive: Directive, evidence: OpenEviden
 
 def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     """What the file may still be wrong by. A confirmation is withdrawn after a long doubt."""
+    agreeing = _agreeing(state)
+    if agreeing is not None and not _fits(evidence, CONSISTENCY.ends):
+        evidence = replace(evidence, misfit=agreeing)  # that tracker has lost its way
     state.agrees.look(_fits(evidence, CONSISTENCY.ends))
     decided = _sensors_known(state)
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
-    if not decided or evidence.learned < least:  # what was known before holds
+    learned = evidence.learned >= least
+    if not learned and state.fit is not None and (evidence.rough or not state.judged):
+        evidence, learned = replace(evidence, misfit=state.fit), True  # on rough ground it may never have
+    if not decided or not learned:  # what was known before holds
         keys = () if decided else ("turn rates and rolls",)
         seconds = max((least - evidence.learned) * SEGMENT_S, 0.0 if decided else WIDENING.shortest_s)
         state.missing = Reason(Code.NOT_CONFIRMED, keys, (seconds,))
         return
     state.judged = True
-    state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else ())
+    state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else (), state.fit)
+    if evidence.learned < least:
+        return
     if state.confirmed:
         state.confirmed = state.agrees.absent < CONSISTENCY.poses_to_doubt
     else:

@@ -110,6 +110,11 @@ def fit_tells(state: RigDiagnosis, method: str, misfit: Misfit, seconds: float) 
     consistency.fit_tells(state.consistency, method, evidence)
 
 
+def windows_tell(state: RigDiagnosis, misfit: Misfit) -> None:
+    """Take what fits of whole windows have found of the file."""
+    state.consistency.fit = misfit
+
+
 def soil_changed(state: RigDiagnosis) -> Directive:
     """Other soil: it takes the open tracker seconds to tell it from another rig, so it begins anew."""
     if not state.confirmed:

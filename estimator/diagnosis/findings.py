@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import latency, receiver_checks
 from tilth.estimator.pose.aligner import MOUNTS, Aligner
 from tilth.estimator.pose.plausibility import PLAUSIBILITY, pair_limits
@@ -21,6 +23,8 @@ from tilth.schemas.flow import WITHOUT_RTK, Estimate, FlagKind, Pose, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.plausible import COEFFICIENT
 from tilth.schemas.reasons import Code
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +88,10 @@ def parked_errors(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
 
 def latencies(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
     """Whether the latencies that would explain the distances are implausibly different."""
-    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
-    present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
+    present, differences, covariance = _of_latencies(machine)
     if len(present) < 2:
         return []
-    prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
-    differences = np.eye(len(present))[1:] - np.eye(len(present))[0]
     off = differences @ aligner.latency.tau[present]
-    covariance = differences @ prior[np.ix_(present, present)] @ differences.T
     if float(off @ np.linalg.solve(covariance, off)) < FINDINGS.latency_chi_square:
         return []
     return [
@@ -99,9 +99,25 @@ def latencies(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
     ]
 
 
+@once_for_a_machine
+def _of_latencies(machine: Machine) -> tuple[list[int], Array, Array]:
+    """(indices into MOUNTS of the n receivers whose latency is uncertain, (n - 1, n) of what makes their
+    differences, (n - 1, n - 1) covariance of these by the file)."""
+    by_mount = {r.mount: r.latency.sd for r in machine.receiver}
+    present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
+    prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
+    differences = np.eye(len(present))[1:] - np.eye(len(present))[:1]
+    return present, differences, differences @ prior[np.ix_(present, present)] @ differences.T
+
+
+@once_for_a_machine
+def _loads(machine: Machine) -> tuple[float, ...]:
+    return tuple(map(float, static_loads(rig_of(machine))))
+
+
 def implausible_stiffness(machine: Machine, estimate: Estimate) -> list[Diagnosis]:
     """Whether an estimated stiffness is impossible for a tyre with that static load."""
-    loads = static_loads(rig_of(machine))
+    loads = _loads(machine)
     for name, load, given in zip(("front", "rear", "implement"), loads, estimate.parameters, strict=False):
         if given.value is None or given.status is not Status.ESTIMATED:
             continue

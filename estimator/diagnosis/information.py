@@ -21,10 +21,12 @@ from tilth.estimator.pose.aligner import MOUNTS
 from tilth.estimator.rig.numbers import NUMBERS
 from tilth.estimator.rig.residuals import (
     LATENCIES,
+    PairGeometry,
     PairSlopes,
     gap_by_place,
     gap_slopes,
     hitch_shares,
+    pair_geometry,
     pair_slopes,
     path_angle,
     sideways,
@@ -89,7 +91,7 @@ class Lengths:
     """What rows need of a machine file, m. Bodies tractor first, receivers front first."""
 
     levers: Array  # (2, 2, 2): of each body and receiver, forward and right
-    places: Array  # (2,): of the hitch, forward of each CG
+    pairs: PairGeometry  # of each body
     axles: tuple[float, float]  # forward of the CG
     wheelbase: float
     sds: Array  # (KINDS,): of one pose
@@ -108,7 +110,7 @@ def lengths(machine: Machine) -> Lengths:
     right_sd = sd * float(np.linalg.norm(shares))
     of = INFORMATION
     return Lengths(
-        levers, places,
+        levers, pair_geometry(levers, places),
         (-machine.tractor.b.value, -machine.implement.e.value), machine.tractor.wheelbase,
         np.array([sd * math.sqrt(2)] * 2 + [sd, right_sd] + [of.crab_sd] * 2 + [of.wheel_sd]),
         np.array([of.correlated] * 4 + [of.crab_correlated] * 2 + [of.wheel_correlated]),
@@ -166,7 +168,7 @@ def slopes_of(rig: Lengths, motion: Array, excess: Array) -> PairSlopes:
     excess: (2,), m."""
     u, v, r = motion.T[:, :, None]
     velocity = np.stack([u - r * rig.levers[:, :, 1], v + r * rig.levers[:, :, 0]], axis=-1)
-    return pair_slopes(rig.levers, rig.places, velocity, excess)
+    return pair_slopes(rig.pairs, velocity, excess)
 
 
 @dataclass(slots=True)

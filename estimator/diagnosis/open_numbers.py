@@ -35,6 +35,11 @@ _STIFFNESSES: Final = np.array([1.0 * (name in ("C_af", "C_ar", "C_ai")) for nam
 """... and all tyres are stiffer than they are learned: by the same logarithm."""
 
 
+_ALLOWED, _FIT_SD = (np.array([getattr(row, of) for row in OPEN]) for of in ("allowed_sd", "fit_sd"))
+BY_FIT: Final = np.array([row.fit_sd > 0.0 for row in HYPOTHESES])
+"""[n + 1]: of HYPOTHESES, of which a fit is believed."""
+
+
 @dataclass(frozen=True, slots=True)
 class Misfit:
     """Difference between what the open tracker finds and the file. Arrays by OPEN or HYPOTHESES."""
@@ -67,11 +72,16 @@ class OpenEvidence:
         return replace(self, misfit=self.at_first, learned=0, rejected=0.0)
 
 
-def misfit_of(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
+def misfit_of(
+    off: Array, covariance: Array, believing: Array, machine: Machine, of_fit: bool = False
+) -> Misfit:
     """off: [n], what is found minus what the file says. covariance: [6 + n, 6 + n], of the six logarithms and
-    of what is found; believing: the same where the file's numbers are believed as far as it says."""
-    own = covariance[6:, 6:]
-    inverse = np.linalg.inv(own + np.diag(allowed(machine) ** 2))
+    of what is found; believing: the same where the file's numbers are believed as far as it says. of_fit: it
+    is found by a fit of whole windows."""
+    own, apart = covariance[6:, 6:], allowed(machine)
+    if of_fit:
+        apart = np.sqrt(apart**2 + np.where(BY_FIT[:-1], _FIT_SD**2 - _ALLOWED**2, 0.0))
+    inverse = np.linalg.inv(own + np.diag(apart**2))
     solved = inverse @ off
     precision = np.einsum("ik,ij,jk->k", _FOUND_OFF, inverse, _FOUND_OFF)
     moves = _slopes(covariance, believing, _stated(machine)) @ _FOUND_OFF
@@ -96,6 +106,7 @@ def _slopes(covariance: Array, believing: Array, stated: Array) -> Array:
     return np.asarray(slopes, np.float64)
 
 
+@once_for_a_machine
 def _stated(machine: Machine) -> Array:
     """Sds that the file gives, [n] in the order of OPEN: the methods have these."""
     return unknowns.prior(machine)[1][[AT[name] for name in NAMES]]
@@ -104,7 +115,7 @@ def _stated(machine: Machine) -> Array:
 @once_for_a_machine
 def allowed(machine: Machine) -> Array:
     """Sd by which a right file may differ from the result, [n] in the order of OPEN."""
-    out = np.hypot(_stated(machine), [row.allowed_sd for row in OPEN])
+    out: Array = np.hypot(_stated(machine), _ALLOWED)
     for k, row in enumerate(OPEN):
         if row.cg_of:
             length = 1.0 if row.value is None else row.value(machine)

@@ -4,8 +4,6 @@ Latencies are those of the machine file: what is learned of them (pose/latency.p
 that was moved along its body. The watch learns them itself, beside the places.
 """
 
-from dataclasses import dataclass
-
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
 from tilth.estimator.pose.body import ReportedPoint, baseline, cg_velocity, hitch
@@ -14,6 +12,7 @@ from tilth.estimator.pose.roll_pitch import mean_of
 from tilth.estimator.rig.geometry import Vector, lever, wrap
 from tilth.estimator.rig.residuals import hitch_gap
 from tilth.schemas.machine import Implement, Machine, Receiver, Tractor
+from tilth.schemas.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

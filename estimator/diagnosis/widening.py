@@ -20,7 +20,7 @@ from typing import Annotated, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.diagnosis.open_numbers import HYPOTHESES, NAMES, OpenEvidence
+from tilth.estimator.diagnosis.open_numbers import BY_FIT, HYPOTHESES, NAMES, Misfit, OpenEvidence
 from tilth.estimator.filters import unknowns
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import NUMBER
@@ -112,16 +112,18 @@ class OfSoil:
         return Reason(Code.OTHER_SOIL if total <= limit else Code.NOT_KNOWN_HERE, numbers=(total,))
 
 
-def widening_of(evidence: OpenEvidence, known: Collection[str] = ()) -> Widening:
-    """known: numbers that need no proof any more."""
-    misfit = evidence.misfit
-    chi_square = (misfit.found / misfit.alone) ** 2
-    birge = max((misfit.total - float(chi_square.max())) / (len(NAMES) - 1), 1.0)
+def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit | None = None) -> Widening:
+    """known: numbers that need no proof any more. fit: what fits of whole windows have found: of BY_FIT they
+    know more, and their misfit elsewhere is of other numbers."""
+    misfit, found = evidence.misfit, evidence.misfit.found
+    birge = max((misfit.total - float(((found / misfit.alone) ** 2).max())) / (len(NAMES) - 1), 1.0)
     noise = birge * misfit.alone**2
+    if fit is not None:
+        found, noise = np.where(BY_FIT, fit.found, found), np.where(BY_FIT, fit.alone**2, noise)
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise
-    log_factors = 0.5 * (share * chi_square / birge - np.log1p(_WRONG_BY / noise))
-    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN)
-    of_noise, error = share * noise, (share * misfit.found) ** 2
+    log_factors = 0.5 * (share * found**2 / noise - np.log1p(_WRONG_BY / noise))
+    often = np.where([row.name in known for row in HYPOTHESES], 0.0, _OFTEN) if known else _OFTEN
+    of_noise, error = share * noise, (share * found) ** 2
     parts = misfit.moves * np.sqrt(_probabilities(log_factors, often) * (of_noise + error))
     by = np.argmax(np.abs(parts), axis=1)
     return Widening(

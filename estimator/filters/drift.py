@@ -34,14 +34,15 @@ def retained_share(metres: float) -> float:
 
 def added_covariance(share: float, prior_sd: Array) -> Array:
     """Process noise of the drift, (k, k). share: as `retained_share`. prior_sd: (k,)."""
-    return np.asarray((1.0 - share**2) * np.diag(prior_sd**2))
+    return np.diag((1.0 - share**2) * prior_sd**2)
 
 
-def drift(covariance: Array, indices: Places, share: float, prior_sd: Array) -> None:
-    """Propagate a covariance (n, n) over the drift of the unknowns at these indices, in place.
+def drift(covariance: Array, places: Places | slice, share: float, prior_sd: Array) -> None:
+    """Propagate a covariance (n, n) over the drift of the unknowns at these places, in place.
 
     share: as `retained_share`. prior_sd: (n,).
     """
-    covariance[indices, :] *= share
-    covariance[:, indices] *= share
-    covariance[np.ix_(indices, indices)] += added_covariance(share, prior_sd[indices])
+    covariance[places, :] *= share
+    covariance[:, places] *= share
+    at = np.arange(len(prior_sd))[places]
+    covariance[at, at] += (1.0 - share**2) * prior_sd[places] ** 2

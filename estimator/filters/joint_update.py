@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel
 from tilth.estimator.filters.states import (
     BANK_STATES,
     N_STATES,
@@ -48,7 +48,6 @@ class UpdateWork(NamedTuple):
     coupled: Array  # (14,), and its coupled states one tick later
 
 
-@kernel
 def empty_work(count: int, n: int) -> UpdateWork:
     """Work arrays for `count` filters of n states and unknowns."""
     return UpdateWork(np.zeros((count, n)), np.zeros((count, n)), np.zeros(n), np.zeros(N_COUPLED))

@@ -7,7 +7,7 @@ sum(de de'/S + 1/2 dS dS'/S^2).
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,9 @@ class LikelihoodTuning:
     step_limit: float = tuned(1e-4, "by unknown", "largest step of the differences, in its own unit")
     noise_trust: float = tuned(0.6, "1", "by which a noise level's logarithm moves until slopes are renewed")
     """The perturbed filters are half the cost of a run."""
+    six_trust: float = tuned(1.5, "sd", "that unknowns move until what gains do is renewed, for the six")
+    """Over moves of 0.8 sd it has changed by 0.1 to 0.2 sd of the six; over 2.4 sd by up to 0.5."""
+    roll_trust: float = tuned(0.1, "sd", "the same for roll modes, of which it is the larger part")
     settling_ticks: int = tuned(50, "ticks", "at the beginning whose rows only initialise the state")
     """The initial covariance must allow any manoeuvre; if the first rows counted with it, straight driving
     would make the tyres look softer than they are, by 0.2 sd per window."""
@@ -67,6 +70,14 @@ NO_POINTS: Final = np.zeros((0, len(NAMES)))
 NOWHERE: Final = np.full(len(NAMES), np.inf)
 
 
+class OfGains(NamedTuple):
+    """What the change of the filter's gains adds to derivatives with gains held."""
+
+    points: Array  # (a, n), where each of them was taken; infinite if never
+    de: Array  # (a, m)
+    dS: Array  # (a, m)
+
+
 @dataclass(slots=True)
 class Search:
     """The problem: a record, a prior, and which rows are used."""
@@ -79,6 +90,7 @@ class Search:
     prior_information: Array  # (a, a), of the active ones
     prior_sd: Array  # (a,), with all others unknown
     active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
+    outliers_chosen: bool = False  # whether `used` stays as it is
     of_motion: NDArray[np.bool_] = field(init=False)  # (a,), whether an active unknown is no noise level
     of_roll: NDArray[np.bool_] = field(init=False)  # (a,), whether it is of how a body swings on its tyres
 
@@ -106,6 +118,8 @@ class Iterate:
     instrument_response: (
         Array  # (s, m), response of the innovations to `instruments`, for `apart_from_ground`
     )
+    of_gains: OfGains | None = None  # of a point nearby
+    summed: bool = False  # whether the derivatives have it in them
 
 
 def first_state(record: Record, setup: RigSetup) -> Array:
@@ -185,6 +199,12 @@ def _cost(search: Search, point: Array, e: Array, S: Array) -> float:
         )
 
 
+def posterior_cost(search: Search, point: Array) -> float:
+    """Of record and prior at a point, [n], nats, up to a constant."""
+    made = _run(search, point)
+    return _cost(search, point, made.e, made.S)
+
+
 def search_of(record: Record, setup: RigSetup, mean: Array, covariance: Array) -> Search:
     """The problem of a fit; arguments as of `scoring.maximise_posterior`."""
     active = np.flatnonzero(np.diag(covariance) > 0.0)
@@ -201,50 +221,80 @@ def inverse(matrix: Array) -> Array:
 
 
 def evaluate(
-    search: Search, point: Array, before: Iterate | None = None, instruments: Array = NO_READINGS
+    search: Search,
+    point: Array,
+    before: Iterate | None = None,
+    instruments: Array = NO_READINGS,
+    *,
+    levels: bool = False,
 ) -> Iterate:
     """A point of a search. Derivatives over noise levels are those of `before`, or 0 without.
 
-    instruments: as `response_to_steering` gives it, if `apart_from_ground` is to follow.
+    instruments: as `response_to_steering` gives it, if `apart_from_ground` is to follow. levels: whether the
+    derivatives over noise levels are renewed, unless they are of a point nearby.
     """
     of_motion, many = search.active[search.of_motion], instruments.shape[1]
     places = np.concatenate([of_motion, search.active[:many]])  # the six come first
     responding = np.arange(len(places)) >= len(of_motion)
     readings = np.zeros((len(instruments), len(places)))
     readings[:, responding] = instruments
-    made = _run(search, point, places, instruments=readings, responding=responding)
+    noise_point = NOWHERE if before is None else before.noise_point
+    steps, nearby = _levels_nearby(search, point, noise_point) if levels else (np.zeros(0), NO_POINTS)
+    made = _run(search, point, places, instruments=readings, responding=responding, nearby=nearby)
     cost, none = _cost(search, point, made.e, made.S), np.zeros((len(search.active), len(made.e)))
     de, dS = (none, none.copy()) if before is None else (before.de.copy(), before.dS.copy())
     of_unknowns = made.de.T
     de[search.of_motion], dS[search.of_motion] = of_unknowns[~responding], 0.0
-    noise_point = NOWHERE if before is None else before.noise_point
-    return Iterate(point, made.e, made.S, de, dS, cost, noise_point, of_unknowns[responding])
+    if len(nearby):
+        de[~search.of_motion] = ((made.e_nearby - made.e[:, None]) / steps).T
+        dS[~search.of_motion] = ((made.S_nearby - made.S[:, None]) / steps).T
+        noise_point = point
+    of_gains = None if before is None else before.of_gains
+    return Iterate(point, made.e, made.S, de, dS, cost, noise_point, of_unknowns[responding], of_gains)
 
 
-def with_noise_levels(search: Search, at: Iterate) -> Iterate:
-    """The derivatives over the noise levels, renewed unless they are of a point nearby."""
+def _levels_nearby(search: Search, point: Array, noise_point: Array) -> tuple[Array, Array]:
+    """(steps of the noise levels (q,), points that are off by them (q, n)); none where slopes are of a point
+    nearby."""
     levels = search.active[~search.of_motion]
-    if len(levels) == 0 or float(np.max(np.abs(at.point - at.noise_point)[levels])) < LIKELIHOOD.noise_trust:
-        return at
+    if len(levels) == 0 or float(np.max(np.abs(point - noise_point)[levels])) < LIKELIHOOD.noise_trust:
+        return np.zeros(0), NO_POINTS
     steps = np.minimum(LIKELIHOOD.difference_step * search.prior_sd[~search.of_motion], LIKELIHOOD.step_limit)
-    nearby = np.tile(at.point, (len(levels), 1))
+    nearby = np.tile(point, (len(levels), 1))
     nearby[np.arange(len(levels)), levels] += steps
-    made = _run(search, at.point, nearby=nearby)
-    de, dS = at.de.copy(), at.dS.copy()
-    de[~search.of_motion] = ((made.e_nearby - made.e[:, None]) / steps).T
-    dS[~search.of_motion] = ((made.S_nearby - made.S[:, None]) / steps).T
-    return replace(at, de=de, dS=dS, noise_point=at.point)
+    return steps, nearby
 
 
 def with_gains(search: Search, at: Iterate, six: bool = True) -> Iterate:
     """The derivatives over stiffness, damping and inertia of the roll modes, and over the six, with what the
-    change of the gains does in them, by differences of runs: there the gradient is that of the likelihood."""
-    de, dS = at.de.copy(), at.dS.copy()
+    change of the gains does in them: there the gradient is that of the likelihood. It is known by differences
+    of runs, renewed unless it is of a point nearby."""
+    if at.summed:
+        return at
+    of, known = search.of_roll | (six & (search.active < 6)), at.of_gains
+    if known is None:
+        zeros = np.zeros_like(at.de)
+        known = OfGains(np.full((len(of), len(at.point)), np.inf), zeros, zeros)
+    of &= _moved_far(search, at, known)
+    points, de, dS = known.points.copy(), known.de.copy(), known.dS.copy()
     steps = np.minimum(LIKELIHOOD.difference_step * search.prior_sd, LIKELIHOOD.step_limit)
-    for k in np.flatnonzero(search.of_roll | (six & (search.active < 6))):
+    for k in np.flatnonzero(of):
         there = _run(search, at.point + steps[k] * np.eye(len(at.point))[search.active[k]])
-        de[k], dS[k] = (there.e - at.e) / steps[k], (there.S - at.S) / steps[k]
-    return replace(at, de=de, dS=dS)
+        points[k] = at.point
+        de[k] = (there.e - at.e) / steps[k] - at.de[k]
+        dS[k] = (there.S - at.S) / steps[k] - at.dS[k]
+    return replace(at, de=at.de + de, dS=at.dS + dS, of_gains=OfGains(points, de, dS), summed=True)
+
+
+def _moved_far(search: Search, at: Iterate, known: OfGains) -> NDArray[np.bool_]:
+    """Which rows of `known` are to be renewed, (a,): in sds of the posterior, the unknowns of motion have
+    moved far."""
+    there = replace(at, de=at.de + known.de, dS=at.dS + known.dS)
+    _, information = gradient_and_information(search, there, scores_at(search, there))
+    sds = np.sqrt(np.diag(inverse(information)))
+    away = np.abs(at.point - known.points)[:, search.active] / sds
+    trust = np.where(search.active < 6, LIKELIHOOD.six_trust, LIKELIHOOD.roll_trust)
+    return np.asarray(np.max(away[:, search.of_motion], axis=1) > trust, np.bool_)
 
 
 def response_to_steering(search: Search, point: Array, places: Places | None = None) -> Array:

@@ -1,6 +1,7 @@
 """Newton's method towards the maximum of a posterior: what all searches for one have in common."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar
@@ -21,6 +22,11 @@ class NewtonTuning:
 
     first_damping: float = tuned(1e-3, "1", "of the information's diagonal, at the beginning")
     more: float = tuned(30.0, "1", "factor on the damping of a step that does not lower the cost")
+    beside: float = tuned(3.0, "sd", "from where a search has ended, to look for another place")
+    least_rise: float = tuned(0.3, "1", "of the cost there, by the curvature: less, and there may be one")
+    """Of 21 windows of five rigs of the fleet the least was 0.56."""
+    same_place: float = tuned(1.0, "sd", "that two searches for one place end apart at most")
+    as_likely: float = tuned(3.0, "nat", "that the cost differs between two places of which either may be")
 
 
 NEWTON: Final = NewtonTuning()
@@ -31,6 +37,13 @@ class NewtonStep(NamedTuple):
 
     change: Array  # (a,), of the unknowns
     sds: Array  # (a,), posterior ones by the information, to see how far that is
+
+
+class StepTaken(NamedTuple):
+    """The step before."""
+
+    newton: Array  # (a,), as Newton had it
+    taken: Array  # (a,), as it was taken
 
 
 class End(Enum):
@@ -82,6 +95,7 @@ class Rule(NamedTuple):
     tries: int = 100  # of a step, each with `more` damping than the one before
     at_once: bool = False  # lessen it only if the first try does
     moving: NDArray[np.bool_] | None = None  # (a,), which unknowns may move, all if None
+    secant: bool = False  # whether a step back is shorter, as `not_back` says
 
 
 def newton_step(
@@ -112,6 +126,32 @@ def newton_step(
     return NewtonStep(change, np.sqrt(np.diag(inverse(information))))
 
 
+def flattest(covariance: Array, prior_sd: Array, told: NDArray[np.bool_]) -> Array:
+    """A change of all unknowns, (a,), one posterior sd long, along which data have told least.
+
+    covariance: (a, a), posterior. prior_sd: (a,). told: (a,), which unknowns are asked for; it is the least
+    determined direction of these, with the others following.
+    """
+    within, sd = covariance[np.ix_(told, told)], prior_sd[told]
+    direction = np.linalg.eigh(within / np.outer(sd, sd))[1][:, -1] * sd
+    along = np.linalg.solve(within, direction)
+    return np.asarray(covariance[:, told] @ along / math.sqrt(direction @ along), np.float64)
+
+
+def beside(cost: Callable[[Array], float], direction: Array) -> Array | None:
+    """A change, (a,), to where the cost, nats, has not risen as it should: another minimum may be near. None:
+    there is no such sign. cost: by a change (a,), 0 without one. direction: as `flattest`."""
+    tried = [(cost(step), step) for step in (-NEWTON.beside * direction, NEWTON.beside * direction)]
+    rise, change = min(tried, key=lambda one: one[0] if math.isfinite(one[0]) else math.inf)
+    return change if rise < NEWTON.least_rise * NEWTON.beside**2 / 2.0 else None
+
+
+def are_two(sizes: Array, worse: float) -> bool:
+    """Whether two searches have ended in two places of which either may be. sizes: how far they are apart,
+    posterior sds. worse: nats between them."""
+    return bool(np.max(np.abs(sizes)) > NEWTON.same_place) and worse < NEWTON.as_likely
+
+
 def share_of_step(k: int, most: int) -> float:
     """Of Newton's step, that the k-th of at most `most` steps goes where no cost is seen to fall: the later
     ones are halved, so that a search that goes to and fro ends."""
@@ -121,14 +161,16 @@ def share_of_step(k: int, most: int) -> float:
 def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]:
     """The minimum of a problem's cost from a point on, by at most so many damped steps, one or more."""
     damping, sizes, promised = NEWTON.first_damping, np.zeros(0), math.inf
+    last: StepTaken | None = None
     for step in range(1, most + 1):
         at, gradient, information = problem.terms(at)
         newton, sds = newton_step(gradient, information, moving=rule.moving)
         promised = -float(gradient @ newton) / 2.0
-        descent = _descend(problem, at, gradient, information, rule, damping)
+        descent = _descend(problem, at, gradient, information, rule, damping, last)
         change, then, damping = descent
         if then is None:
             return Minimum(at, step, End.STUCK, np.abs(newton) / sds, promised)
+        last = StepTaken(newton, change) if rule.secant else None
         before, at, sizes = at, problem.taken(step, then), np.abs(change) / sds
         if problem.settled(step, before, at, sizes):
             return Minimum(at, step, End.SETTLED, sizes, promised)
@@ -136,8 +178,9 @@ def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]
 
 
 def _descend(
-    problem: Problem[At], at: At, gradient: Array, information: Array, rule: Rule, damping: float
-) -> tuple[Array, At | None, float]:
+    problem: Problem[At], at: At, gradient: Array, information: Array, rule: Rule, damping: float,
+    last: StepTaken | None,
+) -> tuple[Array, At | None, float]:  # fmt: skip
     """(step, what is there after it, damping of the next one); None in the second place if no step lowers the
     cost."""
     for tried in range(rule.tries):
@@ -147,8 +190,24 @@ def _descend(
         change, _ = newton_step(
             gradient, information, moving=rule.moving, damping=more, limits=rule.limits, each=rule.each
         )
+        change = change if last is None else not_back(change, last, information)
         then = problem.after(at, change)
         if then is not None:
             kept = rule.at_once and tried > 0
             return change, then, more if kept else max(more * rule.less, rule.least)
     return np.zeros(len(gradient)), None, damping
+
+
+def not_back(change: Array, last: StepTaken, information: Array) -> Array:
+    """A step, (a,), that does not go to and fro.
+
+    By the slopes, a share 1 - s of Newton's step is left after a share s of it was taken. Where a step goes
+    back instead, the curvature along the one before is larger by a factor, and it is shorter there by that
+    (a secant).
+    """
+    square = float(last.newton @ information @ last.newton)
+    left, share = (float(one @ information @ last.newton) / square for one in (change, last.taken))
+    if left >= 0.0 or share <= 0.0:
+        return change
+    factor = max((1.0 - left) / share, 1.0)
+    return change + left * (1.0 / factor - 1.0) * last.newton

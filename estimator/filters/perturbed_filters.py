@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, kernel
 from tilth.estimator.filters.joint_update import UpdateWork
 from tilth.estimator.filters.measurement_model import noise_factor
 from tilth.estimator.filters.propagation import (
@@ -38,7 +38,6 @@ class Filters(NamedTuple):
     variances: Array  # (c,), theirs
 
 
-@kernel
 def filters(point: Array, nearby: Array) -> Filters:
     """At the first tick of a run at a point, (n,), with others at the points nearby, (c - 1, n)."""
     count = 1 + nearby.shape[0]
@@ -48,7 +47,6 @@ def filters(point: Array, nearby: Array) -> Filters:
     return Filters(points, zeros, zeros.copy(), np.zeros(count), np.zeros(count))
 
 
-@kernel
 def first_covariances(u: float, run: Filters, setup: RigSetup) -> Array:
     """Covariances of the first state at speed u, m/s, shape (c, 30, 30)."""
     count = run.points.shape[0]
@@ -66,7 +64,7 @@ def set_all_noise(u: float, run: Filters, setup: RigSetup, step: Transition) -> 
         set_processes(u, ground_at(run.points[c]), setup, step, c)
 
 
-@inner_kernel
+@inline_kernel
 def set_innovations(error: float, sd: float, kind: int, H: Array, run: Filters) -> None:
     """Fill errors, and variances with those of the measurement's noise.
 
@@ -82,7 +80,7 @@ def set_innovations(error: float, sd: float, kind: int, H: Array, run: Filters) 
         run.variances[c] = (sd * noise_factor(kind, run.points[c])) ** 2
 
 
-@inner_kernel
+@inline_kernel
 def deviate(run: Filters, work: UpdateWork) -> None:
     """Add to the deviations what an update has moved the perturbed filters by more than the run."""
     for i in range(N_STATES):
@@ -90,7 +88,7 @@ def deviate(run: Filters, work: UpdateWork) -> None:
             run.deviation[i, c] += work.gain[c, i] * run.errors[c] - work.moved[i]
 
 
-@inner_kernel
+@inline_kernel
 def advance(run: Filters, x: Array, step: Transition) -> None:
     """Propagate the deviations over a tick. x: (30,), the run's state before it."""
     deviation, following = run.deviation, run.following

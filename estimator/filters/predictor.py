@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel
 from tilth.estimator.filters.gates import UNLIMITED
 from tilth.estimator.filters.joint_update import (
     JointState,
@@ -98,7 +98,7 @@ class Sensitivities(NamedTuple):
     d: Array  # (a,), of the present innovation
 
 
-@inner_kernel
+@inline_kernel
 def row_sensitivities(
     H: Array, H_unknowns: Array, row: int, varied: Varied, sensitivities: Sensitivities
 ) -> None:
@@ -113,7 +113,7 @@ def row_sensitivities(
                 d[j] -= H[i] * D[i, j]
 
 
-@inner_kernel
+@inline_kernel
 def update_sensitivities(gain: Array, sensitivities: Sensitivities) -> None:
     """Add a measurement's part to the derivatives. gain: (30,)."""
     D, _, d = sensitivities
@@ -122,7 +122,7 @@ def update_sensitivities(gain: Array, sensitivities: Sensitivities) -> None:
             D[i, j] += gain[i] * d[j]
 
 
-@inner_kernel
+@inline_kernel
 def propagate_sensitivities(sensitivities: Sensitivities, step: Transition) -> None:
     """Propagate the derivatives over a tick."""
     D, coupled, d = sensitivities
@@ -152,11 +152,11 @@ class Runner(NamedTuple):
     out: Innovations
 
 
-@inline_kernel
 def runner(
     measured: Measured, x: Array, unknowns: Array, setup: RigSetup, varied: Varied, out: Innovations
 ) -> Runner:
     """At the first tick of a run. The arguments are those of `run_filter`."""
+    out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
     places, run = varied.places, filters(unknowns, varied.nearby)
     na, learned = places.shape[0], places[:0]
     plant = empty_plant(setup, na)
@@ -197,7 +197,7 @@ def end_tick(u: float, on: Runner) -> None:
     propagate_sensitivities(on.sensitivities, step)
 
 
-@inner_kernel
+@inline_kernel
 def take_row(row: int, k: int, u: float, on: Runner) -> None:
     """Update all filters with a row of the record, after tick k at speed u, m/s; fill its row of out."""
     measured, state, at, sensitivities, out = on.measured, on.state, on.at, on.sensitivities, on.out
@@ -224,7 +224,6 @@ def take_row(row: int, k: int, u: float, on: Runner) -> None:
 run_ticks = over_ticks.with_steps(begin_tick=begin_tick, take_row=take_row, end_tick=end_tick)
 
 
-@kernel
 def run_filter(
     measured: Measured, x: Array, unknowns: Array, setup: RigSetup, varied: Varied, out: Innovations
 ) -> None:
@@ -232,6 +231,4 @@ def run_filter(
 
     unknowns: (n,). x: (30,), the first state, overwritten with the last.
     """
-    out.e[:], out.S[:], out.de[:], out.e_nearby[:], out.S_nearby[:] = 0.0, 1.0, 0.0, 0.0, 1.0
-    on = runner(measured, x, unknowns, setup, varied, out)
-    run_ticks(measured.ticks.shape[0], measured.rows, on)
+    run_ticks(len(measured.ticks), measured.rows, runner(measured, x, unknowns, setup, varied, out))

@@ -130,7 +130,6 @@ class GroundNoise(NamedTuple):
 # The inputs and the rates.
 
 
-@kernel
 def empty_plant(setup: RigSetup, na: int) -> Plant:
     """A Plant for `na` active unknowns, without its parameters."""
     return Plant(
@@ -139,7 +138,7 @@ def empty_plant(setup: RigSetup, na: int) -> Plant:
     )  # fmt: skip
 
 
-@inner_kernel
+@inline_kernel
 def set_parameters(unknowns: Array, setup: RigSetup, p: Array, slopes: Array) -> None:
     """Fill p (38,), rolling_terms.PARAMETERS and CONSTANTS, at a point of the unknowns, and slopes as
     `unknowns.apply`. A linear model has no rolling resistance, and its roll modes and heights are those of
@@ -255,7 +254,7 @@ def linearise(x: Array, ticks: Array, k: int, unknowns: Array, plant: Plant, ste
     joint_jacobian(step)
 
 
-@inner_kernel
+@inline_kernel
 def jacobian_at_instrument(
     instrument: Array, ticks: Array, k: int, unknowns: Array, plant: Plant, step: Transition
 ) -> None:
@@ -275,7 +274,7 @@ def jacobian_at_instrument(
     set_coupled(step, 0, X_DISTURBANCE)
 
 
-@inner_kernel
+@inline_kernel
 def complete_jacobian(
     x: Array, following: Array, drive: DriveInputs, unknowns: Array, places: Places, step: Transition
 ) -> None:
@@ -399,7 +398,9 @@ def set_bank(u: float, setup: RigSetup, step: Transition) -> None:
     A[0, 2] = A[1, 3] = DT
     A[2, 0], A[2, 2] = -common * common * DT, -2.0 * common * DT
     A[3, 0], A[3, 1], A[3, 3] = apart * apart * DT, -apart * apart * DT, -2.0 * apart * DT
-    step.bank[:] = B
+    for i in range(4):
+        step.bank[i] = 0.0
+        step.bank[i, i] = 1.0
     for order in range(1, 4):
         multiply(A, B, power)
         for i in range(4):

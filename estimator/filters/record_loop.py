@@ -21,7 +21,7 @@ def begin_tick(k: int, on: Any) -> Any:
     raise NotImplementedError
 
 
-def take_row(row: int, k: int, at: Any, on: Any) -> None:
+def take_row(row: int | np.int64, k: int, at: Any, on: Any) -> None:
     """A row of the record, after tick k. at: what `begin_tick` gave."""
     raise NotImplementedError
 
@@ -34,7 +34,7 @@ def end_tick(at: Any, on: Any) -> None:
 @inner_kernel
 def over_ticks(size: int, rows: NDArray[np.float64], on: Any) -> None:
     """So many ticks. rows: (m, 6), as record.Record; those that come later are left."""
-    row = 0
+    row = np.int64(0)  # to numba 0 is a type of its own, for which `take_row` would be compiled once more
     for k in range(size):
         at = begin_tick(k, on)
         while row < rows.shape[0] and rows[row, TICK] <= k:

@@ -5,24 +5,39 @@ then on it is one linear map: the readings that the rig of straight_driving.py w
 the unknowns, pass through it together, as columns, in the same kernel that makes them.
 """
 
-from typing import NamedTuple
+import math
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel
 from tilth.estimator.filters.gates import GATES, UNLIMITED
 from tilth.estimator.filters.joint_update import JointState, UpdateWork, correct, empty_work
 from tilth.estimator.filters.measurement_model import between, noise_factor
 from tilth.estimator.filters.record_loop import over_ticks
 from tilth.estimator.filters.sensors.wheel_angle import drive_at, driven_by, set_wheel_slopes
 from tilth.estimator.filters.states import DT, Places
-from tilth.estimator.filters.straight_driving import N_STRAIGHT, PLACES, FilterModel, StraightModel
+from tilth.estimator.filters.straight_driving import (
+    KEPT,
+    N_SENSORS,
+    N_STRAIGHT,
+    PLACES,
+    FilterModel,
+    StraightModel,
+)
 from tilth.estimator.filters.transition import multiply
-from tilth.estimator.filters.unknowns import AT_YAW_RATE_DELAY, N_UNKNOWNS
+from tilth.estimator.filters.unknowns import AT, AT_LATENCY, AT_YAW_RATE_DELAY, N_UNKNOWNS
 from tilth.estimator.record.record import KIND, OFFSET, PLACE, SD, YAW_RATE
 
 Array = NDArray[np.float64]
+
+
+# Unknowns of rows alone, behind those of unknowns.NAMES.
+AT_PLAY: Final = N_UNKNOWNS  # half the play of the wheel sensor, rad of its reading
+AT_RATE_SCALE: Final = N_UNKNOWNS + 1  # logarithm: turn rates over true; the tractor's, the implement's
+N_ROW_UNKNOWNS: Final = N_UNKNOWNS + 3
+ZERO: Final = AT["wheel_zero"]
 
 
 class KeptGains(NamedTuple):
@@ -45,6 +60,7 @@ class Whitened(NamedTuple):
     slots: NDArray[np.int64]  # (m,), of which output of which epoch a row is part; -1 of none
     scales: Array  # (m,), on what belongs there
     mean_reading: Array  # (1,), of the wheel angle, rad
+    flanks: Array  # (n,), of the wheel sensor's play, as wheel_play.flanks
 
 
 class RowSpeed(NamedTuple):
@@ -99,7 +115,7 @@ class GainRun(NamedTuple):
     F_T: Array  # (25, 25), overwritten
 
 
-@inner_kernel
+@inline_kernel
 def begin_gains(k: int, on: GainRun) -> None:
     """The filter at the speed of tick k."""
     model = on.model
@@ -109,7 +125,7 @@ def begin_gains(k: int, on: GainRun) -> None:
     mix(model.H, at, on.sensors)
 
 
-@inner_kernel
+@inline_kernel
 def take_gain(i: int, k: int, none: None, on: GainRun) -> None:
     """Update the filter with a row, but if it is an outlier, and keep its gain."""
     row, state, out, error, H = on.rows[i], on.state, on.out, on.error, on.H
@@ -130,7 +146,7 @@ def take_gain(i: int, k: int, none: None, on: GainRun) -> None:
         state.x[j] += on.work.gain[0, j] * error[0]
 
 
-@inner_kernel
+@inline_kernel
 def end_gains(none: None, on: GainRun) -> None:
     """Propagate state and covariance."""
     x, following, P, F = on.state.x, on.state.following, on.state.P[0], on.F
@@ -149,7 +165,6 @@ def end_gains(none: None, on: GainRun) -> None:
 run_gains = over_ticks.with_steps(begin_tick=begin_gains, take_row=take_gain, end_tick=end_gains)
 
 
-@kernel
 def set_gains(
     ticks: Array, rows: Array, readings: Array, unknowns: Array, model: FilterModel, settling: int,
     out: KeptGains,
@@ -182,7 +197,7 @@ def step_columns(table: Array, at: RowSpeed, z: Array, following: Array) -> None
                     following[i, j] += factor * z[k, j]
 
 
-@inner_kernel
+@inline_kernel
 def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array) -> None:
     """Fill following, (13, 1 + a): state, and its slopes, one tick after z, (14, 1 + a), whose last row is
     the wheel angle."""
@@ -197,20 +212,22 @@ def step_response(at: RowSpeed, model: StraightModel, z: Array, following: Array
                 ) * z[k, 0]
 
 
-@inner_kernel
+@inline_kernel
 def read_response(
     code: int, late: float, at: RowSpeed, model: StraightModel, z: Array, following: Array, out: Array
 ) -> None:
-    """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z."""
+    """Fill out, (1 + a,): a reading, and its slopes, `late` ticks after z. The model has slopes of the
+    first ones only; on the others it does not depend."""
     low, share = at
-    na, upper = out.shape[0] - 1, low + 1
+    na, upper = model.offsets.shape[2], low + 1
+    out[:] = 0.0
     out[0] = (1.0 - share) * model.rest[low, code] + share * model.rest[upper, code]
     for j in range(na):
         out[1 + j] = (1.0 - share) * model.offsets[low, code, j] + share * model.offsets[upper, code, j]
     for i in range(N_STRAIGHT):
         h = (1.0 - share) * model.H[low, code, i] + share * model.H[upper, code, i]
         if h != 0.0:
-            for j in range(1 + na):
+            for j in range(out.shape[0]):
                 out[j] += h * (z[i, j] + late * (following[i, j] - z[i, j]))
         by = z[i, 0] + late * (following[i, 0] - z[i, 0])
         for j in range(na):
@@ -225,7 +242,7 @@ class ResponseRun(NamedTuple):
 
     row: Whitened
     model: StraightModel
-    unknowns: Array  # (n,)
+    unknowns: Array  # (N_ROW_UNKNOWNS,)
     places: Places  # (a,)
     out: Array  # (slots, 1 + a)
     z: Array  # (14, 1 + a), the state, then the wheel angle
@@ -233,16 +250,19 @@ class ResponseRun(NamedTuple):
     D: Array  # (25, 1 + a), the filter's state
     D_following: Array  # (25, 1 + a), overwritten
     reading: Array  # (1 + a,)
-    wheel_slopes: Array  # (n,)
+    wheel_slopes: Array  # (N_ROW_UNKNOWNS,)
 
 
-@inner_kernel
+@inline_kernel
 def begin_response(k: int, on: ResponseRun) -> RowSpeed:
     """The rig one tick later."""
     unknowns, now = on.unknowns, drive_at(on.row.ticks, k, on.unknowns)
-    drive = driven_by(now.u, 0.0, now.reading - on.row.mean_reading[0], now.reading_rate, unknowns)
+    flank = on.row.flanks[min(max(int(k + 0.5 - unknowns[AT_LATENCY] / DT), 0), on.row.flanks.shape[0] - 1)]
+    reading = now.reading - on.row.mean_reading[0] + unknowns[AT_PLAY] * flank
+    drive = driven_by(now.u, 0.0, reading, now.reading_rate, unknowns)
     at = find_speed(now.u, on.model.speeds)
     set_wheel_slopes(drive, unknowns, on.wheel_slopes)
+    on.wheel_slopes[AT_PLAY] = -on.wheel_slopes[ZERO] * flank
     on.z[N_STRAIGHT, 0] = drive.wheel
     for j in range(on.places.shape[0]):
         on.z[N_STRAIGHT, 1 + j] = on.wheel_slopes[on.places[j]]
@@ -250,7 +270,7 @@ def begin_response(k: int, on: ResponseRun) -> RowSpeed:
     return at
 
 
-@inner_kernel
+@inline_kernel
 def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
     """What the rig gives in the place of a row, through the filter."""
     row, gains, places, reading, D = on.row.rows[i], on.row.gains, on.places, on.reading, on.D
@@ -265,6 +285,10 @@ def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
                 for m in range(N_STRAIGHT):
                     h = on.model.H[at.low, code, m]
                     reading[1 + j] -= h * (on.following[m, 0] - on.z[m, 0]) / DT
+        reading *= math.exp(on.unknowns[AT_RATE_SCALE + place])
+        for j in range(na):
+            if places[j] == AT_RATE_SCALE + place:
+                reading[1 + j] += reading[0]
     for m in range(n):
         h = gains.H[i, m]
         if h != 0.0:
@@ -279,7 +303,7 @@ def take_response(i: int, k: int, at: RowSpeed, on: ResponseRun) -> None:
             on.out[slot, j] += on.row.scales[i] * reading[j]
 
 
-@inner_kernel
+@inline_kernel
 def end_response(at: RowSpeed, on: ResponseRun) -> None:
     """On to the next tick."""
     step_columns(on.row.filter.F, at, on.D, on.D_following)
@@ -293,17 +317,33 @@ def end_response(at: RowSpeed, on: ResponseRun) -> None:
 run_response = over_ticks.with_steps(begin_tick=begin_response, take_row=take_response, end_tick=end_response)
 
 
-@kernel
 def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places, out: Array) -> None:
     """Fill out, (slots, 1 + a): the whitened response to the wheel angle less its mean, and its slopes.
 
-    unknowns: (n,), the point that `model` is of, with the wheel's zero less that mean.
+    unknowns: (N_ROW_UNKNOWNS,), the point that `model` is of, with the wheel's zero less that mean. places:
+    those of rows alone come last; `model` is of the others.
     """
     out[:] = 0.0
     columns, n = 1 + places.shape[0], row.gains.H.shape[1]
     on = ResponseRun(
         row, model, unknowns, places, out,
         np.zeros((N_STRAIGHT + 1, columns)), np.zeros((N_STRAIGHT, columns)),
-        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_UNKNOWNS),
+        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_ROW_UNKNOWNS),
     )  # fmt: skip
     run_response(row.ticks.shape[0], row.rows, on)
+
+
+def rehearse() -> None:
+    """Compile both loops, by runs over one tick without a row. They call nothing of the rig's motion."""
+    n, outputs, speeds, ticks, rows = len(KEPT), N_SENSORS, np.arange(2.0), np.zeros((1, 8)), np.zeros((0, 6))
+    of_all, unknowns, places = np.zeros((2, n, n)), np.zeros(N_UNKNOWNS), np.zeros(1, np.int64)
+    model = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n))
+    gains = KeptGains(rows[:, 0].copy(), rows[:, 0].copy(), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0))
+    set_gains(ticks, rows, np.zeros(0), unknowns, model, 0, gains)
+    shape = (2, outputs, N_STRAIGHT)
+    straight = StraightModel(
+        speeds, np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1, 1)),
+        np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[:2]), np.zeros((*shape[:2], 1)),
+    )  # fmt: skip
+    row = Whitened(ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1), np.zeros(1))
+    respond(row, straight, unknowns, places, np.zeros((0, 2)))

@@ -19,10 +19,19 @@ from tilth.estimator.filters import likelihood
 from tilth.estimator.filters.free_noise import FreeNoise, gradient_and_information, regress
 from tilth.estimator.filters.newton import newton_step
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, set_gains
+from tilth.estimator.filters.row_filter import (
+    AT_PLAY,
+    N_ROW_UNKNOWNS,
+    ZERO,
+    KeptGains,
+    Whitened,
+    respond,
+    set_gains,
+)
+from tilth.estimator.filters.sensors.wheel_play import flanks
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
-from tilth.estimator.filters.unknowns import AT, NAMES, NOISES
+from tilth.estimator.filters.unknowns import NAMES, NOISES
 from tilth.estimator.record.record import (
     EAST,
     HEADING,
@@ -50,7 +59,7 @@ OUTPUTS: Final = (  # kind, places
 """In the row's frame, where north is along it: each antenna's position across, each body's velocities and
 yaw rates."""
 OF_BODIES: Final = ((0, 1, 4, 6), (2, 3, 5, 7))  # of OUTPUTS
-ZERO: Final = AT["wheel_zero"]
+OF_ROWS: Final = np.arange(AT_PLAY, N_ROW_UNKNOWNS)  # unknowns of each fit anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +74,9 @@ class RowFitTuning:
     """No less than the past. Fifteen rows of 25 s held 24 of 24 with 3, 5 or 10; sds are smallest with 3."""
     present: float = tuned(0.9, "1", "share of the epochs that an output must have, to be used")
     zero_sd: float = tuned(math.radians(1.0), "rad", "of the wheel angle of a row that goes straight on")
+    play_sd: float = tuned(math.radians(0.06), "rad", "rms of half the play of wheel sensors")
+    """Linkages have 0.05 to 0.2 degrees from flank to flank, worn ones more."""
+    rate_scale_sd: float = tuned(0.01, "1", "of the logarithm of turn rates over true ones, of each body")
     least_telling: float = tuned(0.01, "1", "information over the prior's, of an unknown that rows can move")
     most_steps: int = tuned(12, "steps", "of the search")
     longest_step: float = tuned(0.7, "1", "of any of the six logarithms")
@@ -93,6 +105,7 @@ class RowPosterior(NamedTuple):
     wheel_rms: float  # rad
     own_share: float  # of the wheel angle's variance that the past of what was measured does not explain
     cost: float  # per epoch
+    play: float  # rad, half of that of the wheel sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +124,7 @@ class RowPoint:
     """Where a search is."""
 
     unknowns: Array  # (n,)
-    zeros: Array  # (r,), of the wheel angle in each row, rad
+    own: Array  # (r + 3,), of this fit: zeros of the wheel angle in each row, rad, then OF_ROWS
     noise: FreeNoise
     cost: float
     slopes: list[Array] = field(default_factory=list)
@@ -158,9 +171,9 @@ def across_row(record: Record) -> Array:
     return readings
 
 
-def _with_zero(point: Array, zero: float) -> Array:
-    """The point with another zero of the wheel angle."""
-    there = point.copy()
+def _of_row(point: Array, zero: float, of_rows: Array) -> Array:
+    """The unknowns of a row, (N_ROW_UNKNOWNS,): a point with another zero of the wheel angle, and OF_ROWS."""
+    there = np.concatenate([point, of_rows])
     there[ZERO] = zero
     return there
 
@@ -183,9 +196,11 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
     used = (np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)).astype(np.float64)
     gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, len(KEPT))), np.zeros((m, len(KEPT))), used)
     model = filter_model(speeds, point, setup)
-    each = Whitened(ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]))
+    each = Whitened(
+        ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]), flanks(wheel)
+    )
     response, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
-    respond(each, straight, _with_zero(point, 0.0), likelihood.NOTHING, response)
+    respond(each, straight, _of_row(point, 0.0, np.zeros(len(OF_ROWS))), likelihood.NOTHING, response)
     left = across_row(record) - response[:, 0]
     set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, gains)
     instants = rows[:, TICK] * DT + rows[:, OFFSET]
@@ -224,17 +239,20 @@ class RowFit:
         self.order = _order(self.rows, setup)
         present = np.mean([row.present for row in self.rows], axis=0)
         self.outputs = np.flatnonzero(present > ROW_FIT.present)
-        self.first = [self._respond(k, self.whitened_at, 0.0)[0] for k in range(len(self.rows))]
+        of_rows = [ROW_FIT.play_sd, ROW_FIT.rate_scale_sd, ROW_FIT.rate_scale_sd]
+        self.own_sd = np.array([ROW_FIT.zero_sd] * len(records) + of_rows)
+        self.none = np.zeros(len(self.own_sd))
+        self.first = [self._respond(k, self.whitened_at, self.none)[0] for k in range(len(self.rows))]
         free = np.diag(covariance) > 0.0
         motion = np.array([name not in NOISES and name != "wheel_zero" for name in NAMES])
         self._choose(np.flatnonzero(free & motion))
 
     def _choose(self, active: NDArray[np.int64]) -> None:
         self.active = active
-        self.prior_information = np.zeros((len(active) + len(self.rows),) * 2)
+        self.prior_information = np.zeros((len(active) + len(self.own_sd),) * 2)
         within = self.prior_covariance[np.ix_(active, active)]
         self.prior_information[: len(active), : len(active)] = likelihood.inverse(within)
-        self.prior_information[len(active) :, len(active) :] = np.eye(len(self.rows)) / ROW_FIT.zero_sd**2
+        self.prior_information[len(active) :, len(active) :] = np.diag(self.own_sd**-2.0)
 
     @property
     def measured(self) -> bool:
@@ -247,59 +265,61 @@ class RowFit:
         return round(ROW_FIT.settling_s / ROW_FIT.epoch_s) - self.order
 
     def _respond(
-        self, k: int, point: Array, zero: float, places: NDArray[np.int64] = likelihood.NOTHING
+        self, k: int, point: Array, own: Array, places: NDArray[np.int64] = likelihood.NOTHING
     ) -> tuple[Array, Array]:
-        """Of row k at a point, (n,): (the whitened response (n, c), its slopes (n, c, a) by those at
-        places)."""
+        """Of row k at a point, (n,) and (r + 3,): (the whitened response (n, c), its slopes (n, c, a) by
+        those at places)."""
         row = self.rows[k]
-        model = straight_model(tabulated(row.whitened.ticks), point, self.setup, places)
+        of_model = places[places < AT_PLAY]
+        model = straight_model(tabulated(row.whitened.ticks), point, self.setup, of_model)
         out = np.empty((row.epochs * len(OUTPUTS), 1 + len(places)))
-        respond(row.whitened, model, _with_zero(point, zero), places, out)
+        respond(row.whitened, model, _of_row(point, own[k], own[-len(OF_ROWS) :]), places, out)
         shaped = out.reshape(row.epochs, len(OUTPUTS), -1)[self.skip :, self.outputs]
         return shaped[:, :, 0], shaped[:, :, 1:]
 
-    def at(self, unknowns: Array, zeros: Array) -> RowPoint | None:
+    def at(self, unknowns: Array, own: Array) -> RowPoint | None:
         """A point; None where the rig that it is of runs away."""
         left = [
-            row.e[self.skip :, self.outputs] - self._respond(k, unknowns, zeros[k])[0] + self.first[k]
+            row.e[self.skip :, self.outputs] - self._respond(k, unknowns, own)[0] + self.first[k]
             for k, row in enumerate(self.rows)
         ]
         if not all(np.all(np.isfinite(e)) and np.max(np.abs(e)) < 1e6 for e in left):
             return None
-        off = self._deviation(unknowns, zeros)
+        off = self._deviation(unknowns, own)
         noise = regress(left, self.order)
-        return RowPoint(unknowns, zeros, noise, noise.cost + 0.5 * float(off @ self.prior_information @ off))
+        return RowPoint(unknowns, own, noise, noise.cost + 0.5 * float(off @ self.prior_information @ off))
 
-    def _deviation(self, unknowns: Array, zeros: Array) -> Array:
-        return np.concatenate([(unknowns - self.mean)[self.active], zeros])
+    def _deviation(self, unknowns: Array, own: Array) -> Array:
+        return np.concatenate([(unknowns - self.mean)[self.active], own])
 
     def slopes(self, at: RowPoint) -> list[Array]:
-        """Of the innovations by the active unknowns and the zero of each row, (n_i, c, a + r)."""
-        places = np.append(self.active, ZERO)
+        """Of the innovations by the active unknowns and those of this fit, (n_i, c, a + r + 3)."""
+        places, active = np.concatenate([self.active, [ZERO], OF_ROWS]), len(self.active)
         made = []
         for k in range(len(self.rows)):
-            _, slopes = self._respond(k, at.unknowns, at.zeros[k], places)
-            own = np.zeros((*slopes.shape[:2], len(self.active) + len(self.rows)))
-            own[:, :, : len(self.active)] = -slopes[:, :, :-1]
-            own[:, :, len(self.active) + k] = -slopes[:, :, -1]
-            made.append(own)
+            _, slopes = self._respond(k, at.unknowns, at.own, places)
+            each = np.zeros((*slopes.shape[:2], active + len(self.own_sd)))
+            each[:, :, :active] = -slopes[:, :, :active]
+            each[:, :, active + k] = -slopes[:, :, active]
+            each[:, :, -len(OF_ROWS) :] = -slopes[:, :, -len(OF_ROWS) :]
+            made.append(each)
         return made
 
     def _terms(self, at: RowPoint) -> tuple[Array, Array]:
         gradient, told = gradient_and_information(at.noise, at.slopes)
-        off = self._deviation(at.unknowns, at.zeros)
+        off = self._deviation(at.unknowns, at.own)
         return gradient + self.prior_information @ off, told + self.prior_information
 
     def maximise(self) -> RowPosterior:
         """The posterior: Gauss and Newton's steps, each as long as lowers the cost."""
-        start = self.at(self.whitened_at, np.zeros(len(self.rows)))
+        start = self.at(self.whitened_at, self.none)
         if start is None:
             raise ValueError("the response to the wheel angle runs away where the search begins")
         start.slopes = self.slopes(start)
         _, told = gradient_and_information(start.noise, start.slopes)
         prior = np.diag(self.prior_covariance)[self.active]
         telling = np.diag(told)[: len(self.active)] * prior > ROW_FIT.least_telling
-        start.slopes = [S[:, :, np.append(telling, np.ones(len(self.rows), np.bool_))] for S in start.slopes]
+        start.slopes = [S[:, :, np.append(telling, np.ones(len(self.none), np.bool_))] for S in start.slopes]
         self._choose(self.active[telling])
         self.first_covariance = self._covariance(self._terms(start)[1])
         return self._posterior(*self._search(start))
@@ -319,8 +339,8 @@ class RowFit:
             if then is None:  # along slopes of another point
                 at.slopes, moved = self.slopes(at), 0.0
                 continue
-            before = self._deviation(at.unknowns, at.zeros)
-            change = np.abs(self._deviation(then.unknowns, then.zeros) - before) / sds
+            before = self._deviation(at.unknowns, at.own)
+            change = np.abs(self._deviation(then.unknowns, then.own) - before) / sds
             moved += float(np.max(change[: len(six)][six], initial=0.0))
             if moved > ROW_FIT.renewed:
                 then.slopes, moved = self.slopes(then), 0.0
@@ -346,7 +366,7 @@ class RowFit:
     def _moved(self, at: RowPoint, change: Array) -> RowPoint | None:
         unknowns = at.unknowns.copy()
         unknowns[self.active] += change[: len(self.active)]
-        return self.at(unknowns, at.zeros + change[len(self.active) :])
+        return self.at(unknowns, at.own + change[len(self.active) :])
 
     def _following(self) -> Array:
         """By what all unknowns follow the active ones, (n, a): what they were correlated with."""
@@ -354,7 +374,7 @@ class RowFit:
         return np.asarray(np.linalg.solve(prior[np.ix_(active, active)], prior[active]).T, np.float64)
 
     def _covariance(self, information: Array) -> Array:
-        """Of all unknowns, (n, n). information: (a + r, a + r), of the active ones and the zeros of rows."""
+        """Of all unknowns, (n, n). information: (a + r + 3,) * 2, of the active ones and this fit's."""
         active, prior, follows = self.active, self.prior_covariance, self._following()
         found = likelihood.inverse(information)[: len(active), : len(active)]
         covariance = prior + follows @ (found - prior[np.ix_(active, active)]) @ follows.T
@@ -369,7 +389,7 @@ class RowFit:
         return RowPosterior(
             mean, self._covariance(information), steps, converged, len(wheel) * ROW_FIT.epoch_s,
             float(np.sqrt(np.mean(wheel**2))), at.noise.share_of_own(wheel),
-            at.cost / len(wheel),
+            at.cost / len(wheel), float(at.own[-len(OF_ROWS)]),
         )  # fmt: skip
 
 

@@ -22,13 +22,23 @@ from tilth.estimator.filters.likelihood import (
     innovations,
     inverse,
     likelihood_at,
+    negative_log_likelihood,
+    posterior_cost,
     response_to_steering,
     scores_at,
     search_of,
     with_gains,
-    with_noise_levels,
 )
-from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step
+from tilth.estimator.filters.newton import (
+    End,
+    Minimum,
+    Rule,
+    are_two,
+    beside,
+    flattest,
+    minimise,
+    newton_step,
+)
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
@@ -67,7 +77,7 @@ class SearchTuning:
     longest_step: float = tuned(0.7, "1", "of a logarithm of the six in one iteration")
     longest_share: float = tuned(1.5, "sd", "of the prior: the same of all else")
     empty_promise: float = tuned(
-        2.0, "nat", "a search that ended though its derivatives promise more is stuck"
+        5.0, "nat", "a search that ended though its derivatives promise more is stuck"
     )
     """They hold the gains. On side slopes one of 40 such fits took all steering for rough ground, 100 nats
     above the maximum."""
@@ -96,6 +106,7 @@ class Posterior:
     converged: bool
     contrast: Contrast | None = None
     """With the estimate that needs no model of the ground, where it is asked for."""
+    two_places: bool = False  # whether another place, more than a sd away, is about as likely
 
 
 def maximise_posterior(
@@ -116,29 +127,12 @@ def maximise_posterior(
     contrast: whether that is asked for.
     """
     search = search_of(record, setup, mean, covariance)
-    gain = 0.0 if reference is None else likelihood_at(search, reference) - likelihood_at(search, mean)
     point = (mean if start is None else start).copy()
     point[_DISTURBANCES] += np.where(np.diag(covariance)[_DISTURBANCES] > 1.0, SEARCH.rough_start, 0.0)
-    minimum = _maximum(_Likelihood(search), evaluate(search, point))
-    steps = minimum.steps
-    stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > SEARCH.empty_promise
-    if stuck or setup.scale != 1.0:
-        # Along derivatives with gains held no step may lower the cost. Where `_apart` does not follow, the
-        # maximum itself is asked for.
-        minimum = _maximum(_Likelihood(search, Gains.ALL), minimum.at)
-        steps += minimum.steps
-    converged = minimum.end is End.SETTLED or _arrived(minimum)
-    found = minimum.at
-    if setup.scale == 1.0:
-        ground = _Likelihood(search, Gains.OF_ROLL, ~search.of_motion | search.of_roll)
-        settled_ground = _maximum(ground, found, SEARCH.steps_on_ground)
-        found, steps = settled_ground.at, steps + settled_ground.steps
-    _, information = gradient_and_information(search, found, scores_at(search, found))
-    counted = information
-    if setup.scale == 1.0:
-        there, settled = _apart(search, found)
-        found, counted, steps = there.at.left, there.at.information, steps + there.steps
-        converged |= settled
+    first = evaluate(search, point, levels=True)
+    gain = 0.0 if reference is None else _gain(search, reference, mean, first)
+    ended, two_places = _in_one_place(search, _ended(search, first))
+    found, information, counted, converged = ended.at, ended.information, ended.counted, ended.converged
     autocorrelation = whiteness(record.rows, search.scored, found.e, found.S)
     scores = scores_at(search, found)
     record_information = np.zeros_like(covariance)
@@ -146,10 +140,82 @@ def maximise_posterior(
     return Posterior(
         found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
         record_information,
-        found.cost / max(len(record.rows), 1), gain, steps, len(record.rows),
+        found.cost / max(len(record.rows), 1), gain, ended.steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
         contrast_of(search, found, counted) if contrast and converged and setup.scale == 1.0 else None,
+        two_places,
     )  # fmt: skip
+
+
+class _Ended(NamedTuple):
+    """Where the whole search has ended."""
+
+    at: Iterate  # as apart_from_ground
+    information: Array  # (a, a), of the record and the prior
+    counted: Array  # (a, a), what apart_from_ground leaves of it
+    cost: float  # without it
+    steps: int
+    converged: bool
+
+
+def _ended(search: Search, first: Iterate) -> _Ended:
+    """first: where the search begins."""
+    found, steps, converged = _likeliest(search, first)
+    _, information = gradient_and_information(search, found, scores_at(search, found))
+    if search.setup.scale != 1.0:
+        return _Ended(found, information, information, found.cost, steps, converged)
+    there, settled = _apart(search, found)
+    left, here = there.at.left, there.at.here
+    steps += there.steps
+    return _Ended(left, information, there.at.information, here.cost, steps, converged or settled)
+
+
+def _in_one_place(search: Search, ended: _Ended) -> tuple[_Ended, bool]:
+    """(the better one of two places, if there is a sign of another; whether either may be)."""
+    if search.setup.scale != 1.0 or not np.any(search.active < 6):
+        return ended, False
+    covariance, six, point = inverse(ended.counted), search.active < 6, ended.at.point
+    change = beside(
+        lambda change: posterior_cost(search, _moved(search, point, change)) - ended.cost,
+        flattest(covariance, search.prior_sd, six),
+    )
+    if change is None:
+        return ended, False
+    search.outliers_chosen = True  # costs over other rows could not be compared
+    other = _ended(search, evaluate(search, _moved(search, point, change), levels=True))
+    away = (other.at.point - point)[search.active] / np.sqrt(np.diag(covariance))
+    two = other.converged and are_two(away[six], abs(other.at.cost - ended.at.cost))
+    better = other if other.converged and other.at.cost < ended.at.cost else ended
+    return better._replace(steps=ended.steps + other.steps), two
+
+
+def _likeliest(search: Search, first: Iterate) -> tuple[Iterate, int, bool]:
+    """(the likelihood's maximum, steps to it, whether it was found). first: where the search begins."""
+    minimum = _maximum(_Likelihood(search), first)
+    steps, linear = minimum.steps, search.setup.scale != 1.0
+    stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > SEARCH.empty_promise
+    if stuck or linear:
+        # Along derivatives with gains held no step may lower the cost. Where `_apart` does not follow, the
+        # maximum itself is asked for.
+        minimum = _maximum(_Likelihood(search, Gains.ALL), minimum.at)
+        steps += minimum.steps
+    settled = minimum.end is End.SETTLED
+    converged = settled or _arrived(minimum)
+    if linear or (stuck and settled and minimum.promised < SEARCH.soon_flat):
+        return minimum.at, steps, converged
+    ground = _Likelihood(search, Gains.OF_ROLL, ~search.of_motion | search.of_roll, apart_next=True)
+    settled_ground = _maximum(ground, minimum.at, SEARCH.steps_on_ground)
+    return settled_ground.at, steps + settled_ground.steps, converged
+
+
+def _gain(search: Search, reference: Array, mean: Array, first: Iterate) -> float:
+    """By how many nats the record is likelier at the prior's mean than at a reference, (n,) each. first: a
+    point that is known."""
+    if np.array_equal(reference, mean):
+        return 0.0
+    known = np.array_equal(first.point, mean)
+    at_mean = negative_log_likelihood(search, first.e, first.S) if known else likelihood_at(search, mean)
+    return likelihood_at(search, reference) - at_mean
 
 
 def leave_out_outliers(search: Search, point: Array) -> None:
@@ -176,19 +242,23 @@ class _Likelihood(NamedTuple):
     search: Search
     gains: Gains = Gains.HELD
     moving: NDArray[np.bool_] | None = None  # (a,), what is searched for, all if None
+    apart_next: bool = False  # whether `_apart` goes on from where it ends
 
     def terms(self, at: Iterate) -> tuple[Iterate, Array, Array]:
-        at = with_noise_levels(self.search, at)
         if self.gains is not Gains.HELD:
             at = with_gains(self.search, at, six=self.gains is Gains.ALL)
         return at, *gradient_and_information(self.search, at, scores_at(self.search, at))
 
     def after(self, at: Iterate, change: Array) -> Iterate | None:
-        then = evaluate(self.search, _moved(self.search, at.point, change), at)
+        point = _moved(self.search, at.point, change)
+        if self.apart_next:
+            then = evaluate(self.search, point, at, response_to_steering(self.search, point))
+        else:
+            then = evaluate(self.search, point, at, levels=True)
         return then if np.isfinite(then.cost) and then.cost <= at.cost + SEARCH.slack else None
 
     def taken(self, step: int, at: Iterate) -> Iterate:
-        if step != 2 or self.gains is not Gains.HELD:
+        if step != 2 or self.gains is not Gains.HELD or self.search.outliers_chosen:
             return at
         before = self.search.used
         _leave_out(self.search, at.e, at.S)  # outliers are chosen once in a fit, at this point
@@ -212,6 +282,18 @@ class _Place(NamedTuple):
     left: Iterate  # as apart_from_ground
     information: Array  # (a, a), left too
 
+    def along(self, search: Search, change: Array) -> "_Place":
+        """After a small change, (a,), by the slopes."""
+        cost = float(gradient(search, self.left, scores_at(search, self.left)) @ change) / 2.0
+        here, left = (
+            replace(
+                one, point=_moved(search, one.point, change), e=one.e + change @ one.de,
+                S=one.S + change @ one.dS, cost=one.cost + cost,
+            )
+            for one in (self.here, self.left)
+        )  # fmt: skip
+        return self._replace(here=here, left=left)
+
 
 class _Apart(NamedTuple):
     """The search for the maximum with `apart_from_ground`, as newton.Problem, over what `moving` names."""
@@ -227,6 +309,9 @@ class _Apart(NamedTuple):
         return at, gradient(self.search, at.left, scores_at(self.search, at.left)), at.information
 
     def after(self, at: _Place, change: Array) -> _Place | None:
+        """A change that ends the search is taken along the slopes."""
+        if self._ends(np.abs(change) / np.sqrt(np.diag(inverse(at.information)))):
+            return at.along(self.search, change)
         then = self.place(_moved(self.search, at.here.point, change), at.here)
         good = np.isfinite(then.here.cost) and then.left.cost <= at.left.cost + SEARCH.far_slack
         return then if good else None
@@ -235,6 +320,9 @@ class _Apart(NamedTuple):
         return at
 
     def settled(self, step: int, before: _Place, at: _Place, sizes: Array) -> bool:
+        return self._ends(sizes)
+
+    def _ends(self, sizes: Array) -> bool:
         return float(np.max(sizes[self.search.active < 6], initial=0.0)) < SEARCH.settled_step
 
 
@@ -246,7 +334,9 @@ def _moved(search: Search, point: Array, change: Array) -> Array:
 
 def _rule(search: Search, moving: NDArray[np.bool_] | None) -> Rule:
     limits = _step_limits(search)
-    return Rule(limits, False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True, moving=moving)
+    return Rule(
+        limits, False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True, moving=moving, secant=True
+    )
 
 
 def _maximum(problem: _Likelihood, at: Iterate, most: int = SEARCH.most_iterations) -> Minimum[Iterate]:
@@ -263,7 +353,8 @@ def _apart(search: Search, at: Iterate) -> tuple[Minimum[_Place], bool]:
     """(the likelihood's maximum with `apart_from_ground`, whether it was found). Noise levels and roll modes
     stay."""
     problem = _Apart(search, search.of_motion & ~search.of_roll)
-    start = problem.place(at.point, at)
+    answered = len(at.instrument_response) > 0
+    start = _Place(at, *apart_from_ground(search, at)) if answered else problem.place(at.point, at)
     found = minimise(problem, start, _rule(search, problem.moving), SEARCH.steps_apart)
     six, (_, sds) = search.active < 6, newton_step(np.zeros(len(search.active)), found.at.information)
     moved = np.abs(found.at.here.point - at.point)[search.active] / sds

@@ -73,8 +73,6 @@ LENGTH: Final = slice(P_GEOMETRY + 3, P_GEOMETRY + 5)  # d and e
 STEADY: Final = np.r_[X_V, X_R, SLIPS, X_ROLL + 2, X_ROLL + 3, X_R + 1]
 """The states whose rates are 0, and as the last one r_i, whose rate follows from the folding."""
 
-_empty_plant, _empty_transition = empty_plant.interpreted(), empty_transition.interpreted()
-
 
 class _Model(NamedTuple):
     """The motion model at a point of CONSTANTS with its INPUTS; its rates and their slopes at a state."""
@@ -93,9 +91,9 @@ def _model(point: Array, inputs: Array, machine: Machine) -> _Model:
     setup, (at, _) = rig_setup(machine), unknowns.prior(machine)
     at[PLACES] = point
     n, (u, reading, *_, folding) = len(PLACES), inputs.tolist()
-    plant, drive = _empty_plant(setup, n), driven_by(u, 0.0, reading, 0.0, at)
+    plant, drive = empty_plant(setup, n), driven_by(u, 0.0, reading, 0.0, at)
     set_plant(plant, at, setup, PLACES)
-    length, step = float(plant.p[LENGTH].sum()), _empty_transition(n, 0, 1)
+    length, step = float(plant.p[LENGTH].sum()), empty_transition(n, 0, 1)
     set_wheel_slopes(drive, at, step.wheel_unknowns)
     return _Model(plant, step, np.zeros(N_STATES), drive, inputs[2:4], folding, length)
 

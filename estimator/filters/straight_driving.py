@@ -116,10 +116,10 @@ def straight_rates(u: float, unknowns: Array, setup: RigSetup, places: Places) -
     x, none = np.zeros(N_STATES), np.zeros(N_STATES)
     rate_jacobians(x, DriveInputs(u, 0.0, 0.0, 0.0, 0.0), plant, step)
     A, A_unknowns = np.zeros((N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((na, N_STRAIGHT, N_STRAIGHT + 1))
-    A[:X_DISTURBANCE, :X_DISTURBANCE], A[:X_DISTURBANCE, N_STRAIGHT] = (
-        step.rates_x[:, :X_DISTURBANCE],
-        step.rates_wheel,
-    )
+    for i in range(X_DISTURBANCE):  # one by one: numba takes three seconds to compile the copy of an array
+        A[i, N_STRAIGHT] = step.rates_wheel[i]
+        for j in range(X_DISTURBANCE):
+            A[i, j] = step.rates_x[i, j]
     A[EAST_OF_ROW, X_V], A[EAST_OF_ROW, X_PSI] = 1.0, u
     H, H_unknowns = np.zeros((N_SENSORS, N_STATES)), np.zeros((na, N_SENSORS, N_STRAIGHT))
     rest, offsets = np.zeros(N_SENSORS), np.zeros((na, N_SENSORS))
@@ -143,7 +143,8 @@ def straight_rates(u: float, unknowns: Array, setup: RigSetup, places: Places) -
             continue
         obs = Observation(kind, place, 0.0, u, 0.0, 0.0)
         rest[code] = predict_measurement(none, obs, unknowns, setup, slopes)
-        H[code] = slopes[:N_STATES]
+        for i in range(N_STATES):
+            H[code, i] = slopes[i]
         for j in range(na):
             offsets[j, code] = slopes[N_STATES + places[j]]
         for i in range(X_DISTURBANCE if na > 0 else 0):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel
 from tilth.estimator.filters.gates import GATES
 from tilth.estimator.filters.joint_update import (
     JointState,
@@ -86,36 +86,24 @@ class RowTally(NamedTuple):
     estimates, and of the expected values of these."""
 
 
-@kernel
 def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
     """The joint covariance of x and the active unknowns, shape (1, 30 + a, 30 + a): of one filter."""
     P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
     na = places.shape[0]
     P = np.zeros((N_STATES + na, N_STATES + na))
     P[:N_STATES, :N_STATES] = P_xx
-    for j in range(na):
-        for i in range(N_STATES):
-            P[i, N_STATES + j] = P[N_STATES + j, i] = P_xtheta[i, places[j]]
-        for i in range(na):
-            P[N_STATES + i, N_STATES + j] = P_theta[places[i], places[j]]
+    P[:N_STATES, N_STATES:] = P_xtheta[:, places]
+    P[N_STATES:, :N_STATES] = P_xtheta[:, places].T
+    P[N_STATES:, N_STATES:] = P_theta[np.ix_(places, places)]
     return P.reshape(1, N_STATES + na, N_STATES + na)
 
 
-@kernel
 def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None:
     """The reverse of `pack_covariance`, made symmetric."""
-    P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
-    na = places.shape[0]
-    for i in range(N_STATES):
-        for j in range(N_STATES):
-            P_xx[i, j] = 0.5 * (P[i, j] + P[j, i])
-        for j in range(na):
-            P_xtheta[i, places[j]] = 0.5 * (P[i, N_STATES + j] + P[N_STATES + j, i])
-    for i in range(na):
-        for j in range(na):
-            P_theta[places[i], places[j]] = 0.5 * (
-                P[N_STATES + i, N_STATES + j] + P[N_STATES + j, N_STATES + i]
-            )
+    P = 0.5 * (P + P.T)
+    estimate.P_xx[:] = P[:N_STATES, :N_STATES]
+    estimate.P_xtheta[:, places] = P[:N_STATES, N_STATES:]
+    estimate.P_theta[np.ix_(places, places)] = P[N_STATES:, N_STATES:]
 
 
 @inner_kernel
@@ -158,7 +146,6 @@ class SegmentRun(NamedTuple):
     variance: Array  # (1,), of its noise, then of it
 
 
-@inline_kernel
 def segment_run(
     segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
     ground: GroundNoise, tally: RowTally, by_steering: bool,
@@ -238,7 +225,6 @@ def end_tick(u: float, on: SegmentRun) -> None:
 track_ticks = over_ticks.with_steps(begin_tick=begin_tick, take_row=take_row, end_tick=end_tick)
 
 
-@kernel
 def track_segment(
     segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
     ground: GroundNoise, tally: RowTally, by_steering: bool,

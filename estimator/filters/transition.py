@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.filters.states import (
     ACROSS,
     ALONG,
@@ -61,7 +61,6 @@ class Transition(NamedTuple):
     middle: Array  # (30,), overwritten
 
 
-@kernel
 def empty_transition(na: int, rows: int, count: int) -> Transition:
     """A Transition of `count` filters for `na` active unknowns, of which `rows` are in the covariance,
     without its Jacobians."""
@@ -90,7 +89,7 @@ def multiply(A: Array, B: Array, out: Array) -> None:
     np.dot(A, B, out)
 
 
-@inner_kernel
+@inline_kernel
 def integrate_exponential(step: Transition) -> None:
     """Fill step.held: the integral over DT of the matrix exponential of the rates' Jacobian, by a power
     series."""
@@ -109,7 +108,7 @@ def integrate_exponential(step: Transition) -> None:
                 held[i, j] += factor * power[i, j]
 
 
-@inner_kernel
+@inline_kernel
 def joint_jacobian(step: Transition) -> None:
     """Fill the Jacobians from the rates' ones, except for the position's rows and the columns of the wheel
     angle's unknowns."""
@@ -152,7 +151,7 @@ def set_coupled(step: Transition, first: int, end: int) -> None:
             coupled[k, j] = step.F_coupled_T[j, k] = step.F_unknowns[k, j - N_STATES]
 
 
-@inner_kernel
+@inline_kernel
 def position_jacobian(u: float, psi: float, v: float, step: Transition) -> None:
     """Fill the position's rows of the Jacobians from the rows of v and psi_t. u: m/s, true speed."""
     sine, cosine = math.sin(psi), math.cos(psi)
@@ -175,7 +174,7 @@ def position_jacobian(u: float, psi: float, v: float, step: Transition) -> None:
 # Covariances.
 
 
-@inner_kernel
+@inline_kernel
 def add_process_noise(P: Array, q: Array, bank_noise: Array, psi: float) -> None:
     """Add the process noise of one tick to a covariance (n, n); that of the position is along and across the
     heading psi, rad."""
@@ -228,7 +227,7 @@ def decay_rows(A: Array, first: int, decay: Array, bank: Array) -> None:
             A[BANK_STATES[k], j] = total
 
 
-@inner_kernel
+@inline_kernel
 def propagate_covariance(P: Array, c: int, step: Transition, psi: float) -> None:
     """Propagate P (n, n), of x or of the joint state of filter c of step, over one tick, in place; it stays
     symmetric. psi: heading, rad."""

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.diagnosis.open_numbers import NAMES, OPEN, Misfit, OpenEvidence, misfit_of
+from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.drift import drift
 from tilth.estimator.filters.tracker_kernel import BAD, GATED, USED
 from tilth.estimator.filters.unknowns import AT, NEED_STEERING, NOISE, SIX
 from tilth.estimator.methods import tracker
+from tilth.estimator.methods.pem import PemState, of_masses
 from tilth.estimator.methods.tracker import TrackerState
 from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.record.record import Segment
@@ -28,7 +30,8 @@ from tilth.schemas.reasons import Code
 Array = NDArray[np.float64]
 
 PLACES: Final = [AT[name] for name in NAMES]
-_SIX_AND_OPEN: Final = [*range(6), *PLACES]
+_PLACES: Final = np.array(PLACES)
+_SIX_AND_OPEN: Final = np.ix_(*[[*range(6), *PLACES]] * 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +105,7 @@ def observe(
             state.rows = [*state.rows, _rejected_rows(state.tracker)][-OPEN_TRACKER.outlier_segments :]
     return OpenEvidence(
         misfit(state.tracker, believing, machine), _at_first(machine), state.learned, _rejected(state.rows),
-        is_rough(state.tracker),
+        is_rough(state.tracker) or is_rough(believing),  # one that has diverged explains the ground away
     )  # fmt: skip
 
 
@@ -132,9 +135,9 @@ def _take(state: TrackerState, machine: Machine, segment: Segment) -> bool:
 
 def _fade(state: TrackerState) -> None:
     """Drift the posterior towards the prior: a receiver may be moved in the middle of a day."""
-    for places, memory in ((PLACES, OPEN_TRACKER.memory), (list(range(6)), OPEN_TRACKER.soil_memory)):
+    for places, memory in ((_PLACES, OPEN_TRACKER.memory), (SIX, OPEN_TRACKER.soil_memory)):
         share = math.exp(-1.0 / memory)
-        drift(state.covariance, np.array(places), share, state.prior_sd)
+        drift(state.covariance, places, share, state.prior_sd)
         state.P_xtheta[:, places] *= share
 
 
@@ -143,11 +146,40 @@ def misfit(state: TrackerState, believing: TrackerState, machine: Machine) -> Mi
     return from_file(state.mean - state.prior_mean, state.covariance, believing.covariance, machine)
 
 
-def from_file(off: Array, covariance: Array, believing: Array, machine: Machine) -> Misfit:
+def from_file(
+    off: Array, covariance: Array, believing: Array, machine: Machine, of_fit: bool = False
+) -> Misfit:
     """What is found, (n,) off the machine file with its covariance, (n, n), of unknowns.NAMES. believing: the
-    covariance of what believes the file as far as its sds say."""
-    at = np.ix_(_SIX_AND_OPEN, _SIX_AND_OPEN)
-    return misfit_of(off[PLACES], covariance[at], believing[at], machine)
+    covariance of what believes the file as far as its sds say. of_fit: as of `misfit_of`."""
+    at = _SIX_AND_OPEN
+    return misfit_of(off[_PLACES], covariance[at], believing[at], machine, of_fit)
+
+
+def of_fit(machine: Machine, mean: Array, covariance: Array, prior: tuple[Array, Array]) -> Misfit:
+    """What a fit would find were the numbers of the file as open as here: its search ends there but for a
+    step, since it is by information that the posterior is wider then. mean, covariance: of the fit, (n,) and
+    (n, n) of unknowns.NAMES. prior: (mean, sd) that it began with."""
+    sd, off = prior[1], mean - prior[0]
+    known = np.isin(np.arange(len(sd)), [*unknowns.MASSES, *np.arange(len(sd))[NOISE]])
+    active = np.flatnonzero((sd > 0.0) & ~known)
+    at, wide = np.ix_(active, active), opened(sd)
+    narrow, open_ = (np.diag(one[active] ** -2.0) for one in (sd, wide))
+    information = added(np.diag(sd[active] ** 2), (covariance - of_masses(covariance))[at])
+    found = np.diag(wide**2)
+    found[at] = np.linalg.inv(information + open_)
+    off[active] += found[at] @ (narrow - open_) @ off[active]
+    return from_file(off, found, covariance, machine, of_fit=True)
+
+
+def of_windows(machine: Machine, fits: PemState) -> Misfit:
+    """The same of all windows of pem so far."""
+    return of_fit(machine, fits.mean, fits.covariance, (fits.prior_mean, fits.prior_sd))
+
+
+def added(before: Array, after: Array) -> Array:
+    """Information, (a, a), between two covariances. Where filters differ, it may be less than before."""
+    sizes, axes = np.linalg.eigh(np.linalg.inv(after) - np.linalg.inv(before))
+    return np.asarray((axes * np.maximum(sizes, 0.0)) @ axes.T)
 
 
 def is_rough(state: TrackerState) -> bool:

@@ -201,7 +201,7 @@ def fit(machine: Machine, job: Job) -> Fit:
         tie |= chi_square <= PEM.change_chi_square and fitted.is_tie((ratio, PEM.change_ratio))
         tie |= ratio <= PEM.change_ratio and fitted.is_tie((chi_square, PEM.change_chi_square))
         found = scoring.with_gain(anew, found.gain) if changed else found
-    refused = refusal(found, prior_mean, prior_sd)
+    refused = refusal(found, prior_mean, prior_sd) or (Code.TWO_PLACES if found.two_places else None)
     alone, contrast, prior = None, job.contrast, (prior_mean, prior_sd)
     if refused is None and found.contrast is not None:
         contrast = joined(

@@ -80,6 +80,7 @@ class PlaceState(MethodState):
     track: deque[TrackPoint] = field(default_factory=lambda: deque(maxlen=PLACE.track))
     axles: Annotated[Array, Shape((3, 2))] | None = None  # where they are now
     origin_deg: tuple[float, float] | None = None  # latitude and longitude, of the plane
+    rows_ns: list[tuple[int, int]] = field(default_factory=list)  # of the rows that were fitted last
     passing: int = 0  # number of the pass
     heading: float = 0.0  # rad, of the pass
     window_s: float = 0.0
@@ -142,21 +143,54 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
     state.track.clear()
 
 
+def records_of(job: Any) -> list[Record]:
+    """Of a job of pem or of rows."""
+    return job.rows if isinstance(job, rows.Job) else [job.record]
+
+
+def window_of(state: PlaceState, job: Any, made: Any) -> SoilWindow | None:
+    """What another method's fit has told, and where; None where it told nothing, or nobody knows where."""
+    if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
+        return None
+    records, method = records_of(job), rows.METHOD if isinstance(made, rows.Fit) else pem.METHOD
+    path = _path(state.track, records)
+    if path is None:
+        return None
+    return SoilWindow(method, records[0].t_ns, state.passing, path, made.told)
+
+
+def in_rows(state: PlaceState, window: SoilWindow, records: Sequence[Record]) -> list[tuple[int, int]]:
+    """Begin and end of the rows fitted last: these records, where the window is of rows, ns."""
+    if window.method == rows.METHOD:
+        return [(record.t_ns, record.end_ns) for record in records]
+    return state.rows_ns
+
+
+def beside(
+    windows: Sequence[SoilWindow], window: SoilWindow, rows_ns: Sequence[tuple[int, int]]
+) -> list[SoilWindow] | None:
+    """Those that stay beside a window; None where it is left out itself. A second of driving informs the six
+    once: in a row by `rows`, whichever of the two is told first. rows_ns: as of in_rows."""
+    method, begin_ns = window.method, window.begin_ns
+    kept = [w for w in windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
+    if method == rows.METHOD:
+        return [w for w in kept if w.method == method or not _begins_in(w.begin_ns, rows_ns)]
+    return None if _begins_in(begin_ns, rows_ns) else kept
+
+
 def learn(state: PlaceState, job: Any, made: Any) -> bool:
     """Take what another method's fit has told. Returns whether a change of soil that it found was foreseen:
     it is no more than the memory expected of the place."""
-    if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
+    window = window_of(state, job, made)
+    if window is None:
         return False
-    method, records = (rows.METHOD, job.rows) if isinstance(made, rows.Fit) else (pem.METHOD, [job.record])
-    path = _path(state.track, records)
-    if path is None:
+    path, records = window.path, records_of(job)
+    state.rows_ns = in_rows(state, window, records)
+    kept = beside(state.windows, window, state.rows_ns)
+    if kept is None:
         return False
-    begin_ns = records[0].t_ns
-    kept = [w for w in state.windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
-    if method == rows.METHOD:  # a second of driving informs the six once: in a row by this method
-        kept = [w for w in kept if w.method == method or not _begins_in(w, records)]
     before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
-    window = SoilWindow(method, begin_ns, state.passing, path, made.told, kept[-1].epoch if kept else 0)
+    window = replace(window, epoch=kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
     foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(before, path)
@@ -201,10 +235,10 @@ def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
     return pem.soil_changed(found @ window.told.vector - expected.mean, np.sqrt(variances))
 
 
-def _begins_in(window: SoilWindow, records: Sequence[Record]) -> bool:
-    """Whether it is of the driving in these rows, and not of the turn behind one, whose windows begin before
-    the wheels turn."""
-    return any(r.t_ns <= window.begin_ns < r.end_ns - PLACE.lead_ns for r in records)
+def _begins_in(begin_ns: int, rows_ns: Sequence[tuple[int, int]]) -> bool:
+    """Whether a window is of the driving in these rows, and not of the turn behind one, whose windows begin
+    before the wheels turn."""
+    return any(begin <= begin_ns < end - PLACE.lead_ns for begin, end in rows_ns)
 
 
 def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:
@@ -280,5 +314,6 @@ def _soil(state: PlaceState) -> SoilMemory:
 def clock_stepped(state: PlaceState, by_ns: int) -> None:
     """The log's clock stepped back: what windows have told stays, and where."""
     state.track.clear()
+    state.rows_ns.clear()
     state.axles = None
     step_clock(state, by_ns)

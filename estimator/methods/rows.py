@@ -164,7 +164,7 @@ def fit(machine: Machine, job: Job) -> Fit:
     tie = fitted.is_tie((chi_square, TUNING.change_chi_square), *shares)
     refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
     alone = None if refused else _told(start, known, found, (prior_mean, prior_sd))
-    of_file = None if refused else _of_file(machine, found)
+    of_file = None if refused else open_tracker.of_fit(machine, found.mean, found.covariance, prior(machine))
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
         tie, refused, alone, of_file,
@@ -176,32 +176,12 @@ def tells_of_file(made: Fit) -> tuple[Misfit, float] | None:
     return None if made.of_file is None else (made.of_file, made.seconds)
 
 
-def _of_file(machine: Machine, found: row_fit.RowPosterior) -> Misfit:
-    """What would be found were the numbers of the file as open as in the open tracker: the search ends there
-    but for a step, since it is by information that the posterior is wider then."""
-    mean, sd = prior(machine)
-    wide, off = open_tracker.opened(sd), found.mean - mean
-    active = np.flatnonzero((sd > 0.0) & ~np.isin(np.arange(len(sd)), unknowns.MASSES))
-    at, narrow = np.ix_(active, active), np.diag(sd[active] ** -2.0)
-    information = _added(np.diag(sd[active] ** 2), (found.covariance - pem.of_masses(found.covariance))[at])
-    covariance = np.diag(wide**2)
-    covariance[at] = np.linalg.inv(information + np.diag(wide[active] ** -2.0))
-    off[active] += covariance[at] @ (narrow - np.diag(wide[active] ** -2.0)) @ off[active]
-    return open_tracker.from_file(off, covariance, found.covariance, machine)
-
-
-def _added(before: Array, after: Array) -> Array:
-    """Information, (a, a), between two covariances. Where filters differ, it may be less than before."""
-    sizes, axes = np.linalg.eigh(np.linalg.inv(after) - np.linalg.inv(before))
-    return np.asarray((axes * np.maximum(sizes, 0.0)) @ axes.T)
-
-
 def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior: tuple[Array, Array]) -> Told:
     """What a block alone tells. mean, covariance: before it, (n,) and (n, n). prior: as of unknowns.prior."""
     known, after = pem.with_known_masses(covariance), found.covariance - pem.of_masses(covariance)
     active = np.flatnonzero(np.diag(known) > 0.0)
     at, added = np.ix_(active, active), np.zeros_like(known)
-    added[at] = _added(known[at], after[at])
+    added[at] = open_tracker.added(known[at], after[at])
     return told(mean, known, found.mean, added, prior, np.ones(6), np.full(6, TUNING.model_sd))
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tilth.estimator.driving import DRIVING
 from tilth.estimator.filters import fit_covariance, likelihood, soil_change, unknowns
 from tilth.estimator.filters.drift import added_covariance, drift, retained_share
-from tilth.estimator.filters.predictor import run_filter
+from tilth.estimator.filters.predictor import run_ticks
 from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
@@ -31,6 +31,7 @@ from tilth.estimator.filters.tracker_kernel import (
     RowTally,
     SegmentArrays,
     track_segment,
+    track_ticks,
 )
 from tilth.estimator.filters.unknowns import (
     AT,
@@ -154,7 +155,9 @@ class TrackerState(SixState):
     by_steering: bool = True  # slopes are those of steering alone, after a first look
 
 
-KERNELS: Final = (track_segment, run_filter, first_covariance)  # that `take` calls
+_USUAL_DISTURBANCE: Final = np.log(np.square([*PRIOR.disturbance, PRIOR.uneven]))  # of the variances
+
+KERNELS: Final = (track_ticks, run_ticks, first_covariance)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:
@@ -278,7 +281,7 @@ def _keep_near(state: TrackerState) -> None:
     """Begin `instrument` anew where it has run away from x: with some tyres, a rig turns round by itself."""
     off = state.instrument - state.x
     articulation = off[X_PSI] - off[X_PSI + 1]
-    if np.any(np.abs(off[:X_ROLL]) > TRACKER.far_off) or abs(articulation) > TRACKER.far_off[1]:
+    if (np.abs(off[:X_ROLL]) > TRACKER.far_off).any() or abs(articulation) > TRACKER.far_off[1]:
         state.instrument[:] = 0.0
         state.instrument[:X_DISTURBANCE] = state.x[:X_DISTURBANCE]
 
@@ -336,7 +339,8 @@ def is_tight(state: TrackerState, record: Record) -> bool:
 
 def _is_sound(state: TrackerState) -> bool:
     values = (state.mean, state.covariance, state.x, state.P_xx, state.P_xtheta)
-    if not all(bool(np.isfinite(value).all()) for value in values):
+    # A sum of squares is finite where all are; of numbers of 1e150 nothing is lost.
+    if not all(math.isfinite(float(np.vdot(value, value))) for value in values):
         return False
     plausible = (
         np.abs(state.mean[SIX] - state.prior_mean[SIX]) < REPORTING.largest_deviation * state.prior_sd[SIX]
@@ -349,7 +353,7 @@ def _drift(state: TrackerState, metres: float) -> None:
     """Propagate the six over distance: a drift whose stationary covariance is the prior's."""
     state.distance += metres
     share = retained_share(metres)
-    drift(state.covariance, np.arange(6), share, state.prior_sd)
+    drift(state.covariance, SIX, share, state.prior_sd)
     state.P_xtheta[:, SIX] *= share
     added = added_covariance(share, state.prior_sd[SIX])
     for checkpoint in state.checkpoints:
@@ -358,15 +362,15 @@ def _drift(state: TrackerState, metres: float) -> None:
 
 def _adapt_noise(state: TrackerState, sums: Array) -> None:
     """Adapt the noise of the sensors to the residuals, and that of the ground to the estimated pushes."""
-    residuals, ground = sums[:SENSORS], sums[SENSORS:]
+    residuals = sums[:SENSORS]
     measured = residuals[:, 1] > 0.0
     state.residual_ratio[measured] += (
         residuals[measured, 0] / residuals[measured, 1] - state.residual_ratio[measured]
     ) / TRACKER.sensor_noise_memory
-    stated = np.clip(state.residual_ratio, TRACKER.low_noise**2, TRACKER.high_noise**2)
+    stated = np.minimum(np.maximum(state.residual_ratio, TRACKER.low_noise**2), TRACKER.high_noise**2)
     state.mean[AT["s_yaw_rate"] : AT["s_roll"] + 1] = 0.5 * np.log(stated)
-    ground = np.vstack([ground[:3], ground[3:].sum(axis=0)])  # both bodies' unevenness has one sd
-    ratio = np.clip(ground[:, 0] / np.maximum(ground[:, 1], 1e-12), 0.0, TRACKER.largest_disturbance)
+    seen, expected = np.add.reduceat(sums[SENSORS:], range(4), axis=0).T  # both bodies' unevenness has one sd
+    ratio = np.minimum(np.maximum(seen / np.maximum(expected, 1e-12), 0.0), TRACKER.largest_disturbance)
     state.segments_adapted += 1
     short = min(
         max(float(state.segments_adapted), TRACKER.initial_disturbances), TRACKER.disturbance_variance_memory
@@ -374,9 +378,7 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     memory = np.where(ratio > 1.0, short, TRACKER.disturbance_variance_memory)
     # The observed variance of a weakly observable push grows with the square of its true one: hence the half.
     logs = np.log(state.disturbance) + 0.5 * (ratio - 1.0) / memory
-    state.disturbance = np.exp(
-        logs + (np.log(np.square([*PRIOR.disturbance, PRIOR.uneven])) - logs) / TRACKER.disturbance_forgetting
-    )
+    state.disturbance = np.exp(logs + (_USUAL_DISTURBANCE - logs) / TRACKER.disturbance_forgetting)
 
 
 def _detect_soil_change(state: TrackerState) -> None:

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
+from tilth.estimator.compiled import inline_kernel, inner_kernel
 from tilth.estimator.models.generated.rolling_kernels import motion, motion_by_parameter, motion_by_state
 from tilth.estimator.models.rolling_terms import CONSTANTS, INPUTS, PARAMETERS, SPEEDS, STATES
 
@@ -42,7 +42,6 @@ class MotionRates(NamedTuple):
     slip_by_parameter: Array  # (3, 32)
 
 
-@kernel
 def empty_motion() -> MotionRates:
     """Arrays for `rates` and its derivatives."""
     return MotionRates(
@@ -51,7 +50,7 @@ def empty_motion() -> MotionRates:
     )  # fmt: skip
 
 
-@inner_kernel
+@inline_kernel
 def factorise(M: Array) -> None:
     """Gauss's factors of M (n, n), in its place, without a search for pivots."""
     n = M.shape[0]

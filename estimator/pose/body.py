@@ -6,10 +6,10 @@ the receivers' timing errors (sd_time, s) act along their velocity.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from tilth.estimator.rig.geometry import Vector, between, direction, length, rotate, wrap
 from tilth.estimator.rig.residuals import pair_of, seen_hitch
+from tilth.schemas.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

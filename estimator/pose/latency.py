@@ -31,6 +31,7 @@ class LatencyTuning:
 
 
 LATENCY: Final = LatencyTuning()
+_DIFFERENCES: Final = np.eye(4) - 0.25  # of four from their mean
 
 
 @dataclass(slots=True)
@@ -45,7 +46,7 @@ class Latency:
 
     def drift(self, seconds: float) -> None:
         """Random walk of the differences; not of the common latency, which could not be learned again."""
-        self.covariance += (np.eye(4) - 0.25) * (LATENCY.drift_rate**2 * min(seconds, 10.0))
+        self.covariance += _DIFFERENCES * (LATENCY.drift_rate**2 * min(seconds, 10.0))
 
     def update(self, row: Array, ahead: float, sd: float, speed: float) -> None:
         """Scalar Kalman update of τ with the measurement `row` · τ = −ahead / speed.
@@ -61,7 +62,7 @@ class Latency:
         if innovation**2 > LATENCY.gate**2 * variance:
             return
         self.tau += cross * (innovation / variance)
-        self.covariance -= np.outer(cross, cross) / variance
+        self.covariance -= cross[:, None] * cross / variance
 
     def sd_difference(self, one: int, other: int, speed: float) -> float:
         """Sd of τ_one − τ_other, s, including the error of the survey."""
@@ -71,7 +72,8 @@ class Latency:
 
     def sd_mean(self, receivers: list[int]) -> float:
         """Sd of the mean τ of these receivers, s."""
-        return math.sqrt(max(float(np.mean(self.covariance[np.ix_(receivers, receivers)])), 0.0))
+        every = self.covariance.take([4 * one + other for one in receivers for other in receivers])
+        return math.sqrt(max(float(np.add.reduce(every)) / len(every), 0.0))
 
 
 def prior(sds: list[float]) -> Latency:

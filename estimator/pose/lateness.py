@@ -69,7 +69,12 @@ def take_frame(state: Lateness, machine: Machine, frame: Frame) -> None:
             frame.rx_ns, LATENESS.frame_bits * 1e9 / rate if rate else 0.0
         )
         return
-    _take(state, arrivals, frame.rx_ns, round(arrivals.usual_ns))
+    rx_ns, closest_ns = frame.rx_ns, round(arrivals.usual_ns)
+    interval = rx_ns - arrivals.last_ns
+    if interval >= closest_ns and interval > 0:  # as of nearly all
+        arrivals.last_ns, arrivals.idle_ns, arrivals.waited_ns, arrivals.heap = rx_ns, interval, 0.0, 0
+    else:
+        _take(state, arrivals, rx_ns, closest_ns)
 
 
 def take_wheel(state: Lateness, rx_ns: int) -> None:

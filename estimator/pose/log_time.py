@@ -119,37 +119,47 @@ def take_stamp(time: LogTime, frame: Frame) -> int | None:
 
     A value below 0 is a step back of the log's time by so many ns, above 0 a silence of so many ns.
     """
-    if time.offset_ns or not _is_of_this_clock(time, frame.bus):
+    bus, t_ns = frame.bus, frame.t_ns
+    near, advance_ns = time.near.get(bus), t_ns - time.latest_ns
+    alone = near is not None and (
+        near >= LOG_TIME.certain or (len(time.bus_ns) == 1 and bus in time.bus_ns)
+    )  # or beside the others for long: nearly all frames are of such a bus
+    if time.offset_ns or not alone:
         frame = on_log_clock(time, frame)
-        is_apart, time.last_bus = _is_apart(time, frame), frame.bus
+        is_apart, time.last_bus = _is_apart(time, frame), bus
         if is_apart:
             return None
-    bus, t_ns, latest_ns = frame.bus, frame.t_ns, time.latest_ns
+        t_ns = frame.t_ns
+        advance_ns = t_ns - time.latest_ns
     time.last_bus = bus
-    advance_ns = t_ns - latest_ns
     if not 0 <= advance_ns <= LOG_TIME.out_of_order_ns and (side := _side(time, frame)):
         return _off_time_frame(time, frame, side)
-    if latest_ns and advance_ns > 0:
-        if advance_ns < time.step_ns or not time.step_ns:
-            time.step_ns = advance_ns
-        time.passed_ns += advance_ns
-        kept_ns = time.gap_ns - time.gap_ns * min(advance_ns, LOG_TIME.gap_lasts_ns) // LOG_TIME.gap_lasts_ns
-        time.gap_ns = max(min(advance_ns, LOG_TIME.silence_ns), kept_ns)
-    bus_ns = time.bus_ns.get(bus)
-    if bus_ns is None or t_ns > bus_ns:
-        time.bus_ns[bus] = max(t_ns, 0)
     if advance_ns > 0:
+        if time.latest_ns:
+            _pass(time, advance_ns)
         time.latest_ns = t_ns
-    _support(time, frame)
+    if t_ns > time.bus_ns.get(bus, -1):
+        time.bus_ns[bus] = t_ns
+    elif bus not in time.bus_ns:
+        time.bus_ns[bus] = 0
+    if time.begun and time.step_ns < LOG_TIME.coarse_ns:
+        time.in_time += 1
+    else:
+        _support(time, frame)
     if time.offset_ns:
         _follow(time, frame)
     return _in_time_again(time, frame) if time.off_time else 0
 
 
-def _is_of_this_clock(time: LogTime, bus: str) -> bool:
-    """Whether a bus is alone, or was beside the others for long: nearly all frames are of such a one."""
-    near = time.near.get(bus)
-    return near is not None and (near >= LOG_TIME.certain or (len(time.bus_ns) == 1 and bus in time.bus_ns))
+def _pass(time: LogTime, advance_ns: int) -> None:
+    """The log's time goes on."""
+    if advance_ns < time.step_ns or not time.step_ns:
+        time.step_ns = advance_ns
+    time.passed_ns += advance_ns
+    fades_ns = advance_ns if advance_ns < LOG_TIME.gap_lasts_ns else LOG_TIME.gap_lasts_ns
+    kept_ns = time.gap_ns - time.gap_ns * fades_ns // LOG_TIME.gap_lasts_ns
+    gap_ns = advance_ns if advance_ns < LOG_TIME.silence_ns else LOG_TIME.silence_ns
+    time.gap_ns = gap_ns if gap_ns > kept_ns else kept_ns
 
 
 def on_log_clock(time: LogTime, frame: Frame) -> Frame:

@@ -28,7 +28,7 @@ class Moments:
         self.weight = keep * self.weight + 1.0
         off = sample - self.mean
         self.mean += off / self.weight
-        self.sums = keep * self.sums + np.outer(off, sample - self.mean)
+        self.sums = keep * self.sums + off[:, None] * (sample - self.mean)
 
     @property
     def covariance(self) -> Array:

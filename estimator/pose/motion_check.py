@@ -39,6 +39,8 @@ class MotionCheckTuning:
     least_roll_poses: float = tuned(75.0, "poses", "15 s before rolls are judged")
     least_acceleration_sd: float = tuned(0.3, "m/s^2", "lateral: with less, its effect on roll is not judged")
     least_correlation: float = tuned(0.8, "1", "of roll and lateral acceleration")
+    roll_correlated: float = tuned(25.0, "poses", "5 s that count as one: ground is as long")
+    gradient_sds: float = tuned(3.0, "sd", "by which the gradient must be beyond its limit")
     turned: float = tuned(0.01, "1", "mean square of cosine and sine of the heading that shows a slope")
     largest_roll_gradient: float = tuned(0.05, "rad s^2/m", "a body on its tyres has 0.004 to 0.03")
     largest_roll_difference: float = tuned(math.radians(10.0), "rad", "more than a wheel in a furrow")
@@ -94,7 +96,7 @@ def found(state: MotionCheck) -> list[Diagnosis]:
             key = f"receiver on the {name} (source, latency)"
             wrong.append(Diagnosis(Code.FARTHER_THAN_SPEED, key, (name,), amounts=(ratio,)))
         gradient = _gradient(body)
-        if abs(gradient) > MOTION_CHECK.largest_roll_gradient:
+        if gradient:
             key = f"receiver on the {name} (roll)"
             wrong.append(Diagnosis(Code.ROLL_FOLLOWS_TURNS, key, (name,), amounts=(gradient,)))
     tractor, implement = state.bodies
@@ -161,11 +163,14 @@ def _take_roll(body: BodyMotion, body_pose: BodyPose) -> None:
 
 
 def _gradient(body: BodyMotion) -> float:
-    """Roll per lateral acceleration, rad/(m/s^2), if the two are correlated; else 0. What goes with the
-    heading is the slope of the field, as a plane."""
+    """Roll per lateral acceleration, rad/(m/s^2), if surely beyond the limit; else 0. What goes with the
+    heading is the slope of the field, as a plane. In a turn or two waves of the ground may go with it by
+    chance."""
     if body.rolls.weight < MOTION_CHECK.least_roll_poses:
         return 0.0
     moments = body.rolls.covariance
+    if moments[0, 0] < 0.99 * MOTION_CHECK.least_acceleration_sd**2:  # what the heading explains is less yet
+        return 0.0
     by_heading = np.linalg.solve(moments[2:, 2:] + MOTION_CHECK.turned * np.eye(2), moments[2:, :2])
     left = moments[:2, :2] - moments[:2, 2:] @ by_heading
     acceleration_sd, roll_sd = np.sqrt(np.maximum(np.diag(left), 0.0))
@@ -174,4 +179,9 @@ def _gradient(body: BodyMotion) -> float:
         return 0.0
     if abs(covariance) < MOTION_CHECK.least_correlation * acceleration_sd * max(roll_sd, 1e-9):
         return 0.0
-    return float(covariance / acceleration_sd**2)
+    gradient = float(covariance / acceleration_sd**2)
+    apart = math.sqrt(max(float(left[1, 1]) - gradient * float(covariance), 0.0))  # sd of roll without it
+    alike = max(body.rolls.weight / MOTION_CHECK.roll_correlated, 1.0)
+    sd = apart / (acceleration_sd * math.sqrt(alike))
+    sure = abs(gradient) > MOTION_CHECK.largest_roll_gradient + MOTION_CHECK.gradient_sds * sd
+    return gradient if sure else 0.0

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from tilth.estimator.driving import DRIVING
+from tilth.estimator.once import once_for_a_machine
 from tilth.estimator.pose import plausibility
 from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, WHEEL, Aligner, due
 from tilth.estimator.pose.body import Baseline, ReportedPoint, baseline, cg_position, cg_velocity, hitch
@@ -42,6 +43,7 @@ class PoseTuning:
 
 POSE: Final = PoseTuning()
 
+_PLACE: Final = {mount.value: index for index, mount in enumerate(MOUNTS)}
 BODIES = ((0, 1), (2, 3))  # indices into MOUNTS: tractor, implement
 NAMES = ("tractor", "implement")
 
@@ -95,7 +97,7 @@ def _pose_at(state: Aligner, t_ns: int) -> Pose:
 def _receiver_flags(state: Aligner, t_ns: int) -> list[Flag]:
     flags: list[Flag] = []
     for mount, track in state.tracks.items():
-        index = MOUNTS.index(Mount(mount))
+        index = _PLACE[mount]
         excess_s = abs(state.latency.excess_ns(index)) * 1e-9
         if (
             excess_s
@@ -154,7 +156,12 @@ def _section(machine: Machine, index: int) -> Tractor | Implement:
 
 
 def _receiver(machine: Machine, mount: Mount) -> Receiver:
-    return next(r for r in machine.receiver if r.mount is mount)
+    return _receivers(machine)[mount]
+
+
+@once_for_a_machine
+def _receivers(machine: Machine) -> dict[Mount, Receiver]:
+    return {receiver.mount: receiver for receiver in machine.receiver}
 
 
 def _mean(values: list[tuple[float, float]]) -> tuple[float, float] | None:

@@ -1,10 +1,10 @@
 """Roll and pitch of the bodies from their receivers."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.pose.receiver_track import RECEIVER_TRACK, sample_at
+from tilth.schemas.values import dataclass
 
 HALF_NS = ALIGNMENT.pose_ns // 2
 

@@ -94,6 +94,9 @@ class SensorScreen:
         )
 
 
+STILL: Final[Vector] = (0.0, 0.0)
+
+
 @dataclass(slots=True)
 class Screens:
     """All of a rig, and what they have left out."""
@@ -123,25 +126,31 @@ class Screens:
     def near(self, who: str, quantity: str, reading: Reading, moving: bool) -> list[Reading]:
         """The readings of who's quantity (a key of LIMITS) that are used now that this one has come, in their
         order. moving: whether the rig moves."""
-        screen = self.by.setdefault(f"{who} {quantity}", SensorScreen())
+        screen = self._screen(f"{who} {quantity}")
         _count_run(screen, reading, moving)
         # A pose needs the wheel angle: one that may yet be right is refused by record_builder only.
         if screen.failed or (screen.stands and quantity != "wheel_angle"):
             count(self.rejected, Rejection.STANDS_STILL)
             return []
-        return self._decide(screen, reading, LIMITS[quantity], (0.0, 0.0))
+        return self._decide(screen, reading, LIMITS[quantity], STILL)
 
     def near_path(self, who: str, reading: Reading, velocity: Vector | None) -> list[Reading]:
         """The same of positions, m. velocity: the last known, north, east, m/s. Positions that repeat are
         looked at elsewhere."""
-        screen = self.by.setdefault(f"{who} position", SensorScreen())
+        screen = self._screen(f"{who} position")
         if velocity is None:
-            return self._decide(screen, reading, LIMITS["position"], (0.0, 0.0))
+            return self._decide(screen, reading, LIMITS["position"], STILL)
         elapsed = abs(reading[0] - (screen.last or reading)[0]) * 1e-9
         rate = SCREEN.position_share * math.hypot(*velocity) + SCREEN.position_acceleration * (
             elapsed + SCREEN.stamp_s
         )
         return self._decide(screen, reading, RateLimits(rate), velocity)
+
+    def _screen(self, name: str) -> SensorScreen:
+        screen = self.by.get(name)
+        if screen is None:
+            screen = self.by[name] = SensorScreen()
+        return screen
 
     def _decide(
         self, screen: SensorScreen, reading: Reading, limits: RateLimits, velocity: Vector
@@ -186,11 +195,9 @@ def _apart(one: Reading, other: Reading, limits: RateLimits, velocity: Vector) -
 def _are_near(one: Reading, other: Reading, limits: RateLimits, velocity: Vector) -> bool:
     """Whether both may be true. velocity: at which the values change, as far as known."""
     seconds = abs(other[0] - one[0]) * 1e-9 + SCREEN.stamp_s
-    room = (
-        SCREEN.sds * math.hypot(one[3], other[3])
-        + limits.rate * seconds
-        + math.hypot(*velocity) * SCREEN.stamp_s
-    )
+    room = SCREEN.sds * math.hypot(one[3], other[3]) + limits.rate * seconds
+    if velocity is not STILL:
+        room += math.hypot(*velocity) * SCREEN.stamp_s
     return _apart(one, other, limits, velocity) <= room
 
 

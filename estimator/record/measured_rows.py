@@ -1,7 +1,7 @@
 """The receivers' samples between two poses, each used once, as rows of a record."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Final
 
 from tilth.estimator.pose.aligner import ALIGNMENT, MOUNTS, Aligner
@@ -13,6 +13,7 @@ from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Receiver
 from tilth.schemas.reasons import Code
+from tilth.schemas.values import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters.drift import drift, retained_share
-from tilth.estimator.filters.unknowns import Matrix, Vector
+from tilth.estimator.filters.unknowns import SIX, Matrix, Vector
 from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code
 
@@ -65,5 +65,5 @@ def step_clock(state: MethodState, by_ns: int) -> None:
 def drifted(state: SixState, covariance: Array, metres: float) -> Array:
     """A covariance, (n, n), of the unknowns, so many metres later."""
     covariance = covariance.copy()
-    drift(covariance, np.arange(6), retained_share(metres), state.prior_sd)
+    drift(covariance, SIX, retained_share(metres), state.prior_sd)
     return covariance

@@ -61,6 +61,7 @@ class RigNumber:
     open_sd: float = 0.0  # prior where it is left open, as wide as people are wrong in a file
     often: float = 1.0  # how much likelier than another it is wrong in a file
     allowed_sd: float = 0.0  # by which a right file may differ from what driving finds: error of the model
+    fit_sd: float = 0.0  # the same of a fit of whole windows, which is believed of it instead
     in_rows: bool = False  # straight driving tells it, too
     cg_of: str = ""  # of BODIES: it is counted from its CG, whose place has an sd of its own
 
@@ -151,7 +152,7 @@ NUMBERS: Final = (
     ),
     RigNumber(
         "e", "implement.e", added("implement", "e"),
-        open_sd=0.5, often=2.0, allowed_sd=0.15, cg_of="implement",
+        open_sd=0.5, often=2.0, allowed_sd=0.15, fit_sd=0.05, cg_of="implement",
     ),
     RigNumber(
         "wheel_zero", "wheel_angle.zero or offset", added("wheel_angle", "zero", math.degrees),

@@ -101,22 +101,37 @@ class PairSlopes(NamedTuple):
     hitch: Array  # (..., 2, 7): forward and right in the axes of the body
 
 
-def pair_slopes(levers: Array, place: Array, velocity: Array, excess: Array) -> PairSlopes:
-    """Of `pair_of` and `seen_hitch`.
+class PairGeometry(NamedTuple):
+    """What the slopes of a pair take from where its antennas are."""
 
-    levers: (..., 2, 2), front and rear, forward and right, m. place: (...), as for `seen_hitch`. velocity:
-    (..., 2, 2), of front and rear antenna, forward and right in the axes of the body, m/s. excess: (...), m.
-    """
+    span: Array  # (..., 1): distance of the antennas, m
+    by_points: Array  # (..., 4): slopes of the excess, over both points
+    turn: Array  # (..., 4): slopes of the heading, times that distance
+    out: Array  # (..., 2): from the middle of the pair to the hitch, turned by a quarter
+
+
+def pair_geometry(levers: Array, place: Array) -> PairGeometry:
+    """levers: (..., 2, 2), front and rear, forward and right, m. place: (...), as for `seen_hitch`."""
     arm = levers[..., 0, :] - levers[..., 1, :]
     square = (arm * arm).sum(axis=-1, keepdims=True)
     span = np.sqrt(square)
     along, across = arm / span, turned(arm) / span  # unit vectors of the baseline
-    by_points = np.concatenate([along, -along], axis=-1)  # of the excess, over both points
-    turn = np.concatenate([across, -across], axis=-1)  # of the heading, times the distance of the points
-    moved = velocity.reshape(*velocity.shape[:-2], 4)
-    out = -(levers[..., 0, :] + levers[..., 1, :]) / 2  # from the middle of the pair to the hitch
+    by_points = np.concatenate([along, -along], axis=-1)
+    turn = np.concatenate([across, -across], axis=-1)
+    out = -(levers[..., 0, :] + levers[..., 1, :]) / 2
     out[..., 0] += place
-    shape = (*np.broadcast(along[..., 0], moved[..., 0], excess).shape, 7)
+    return PairGeometry(span, by_points, turn, turned(out))
+
+
+def pair_slopes(pair: PairGeometry, velocity: Array, excess: Array) -> PairSlopes:
+    """Of `pair_of` and `seen_hitch`.
+
+    velocity: (..., 2, 2), of front and rear antenna, forward and right in the axes of the body, m/s. excess:
+    (...), m.
+    """
+    span, by_points, turn, out = pair
+    moved = velocity.reshape(*velocity.shape[:-2], 4)
+    shape = (*np.broadcast(span[..., 0], moved[..., 0], excess).shape, 7)
     of_excess, of_heading, of_hitch = np.zeros(shape), np.zeros(shape), np.zeros((*shape[:-1], 2, 7))
     of_excess[..., LEVERS] = -by_points
     of_heading[..., LEVERS] = -turn / span
@@ -127,7 +142,7 @@ def pair_slopes(levers: Array, place: Array, velocity: Array, excess: Array) -> 
         of_hitch[..., 4 + k] = velocity[..., k, :] / 2
         of_hitch[..., 0, 2 * k] = of_hitch[..., 1, 2 * k + 1] = -0.5
     of_hitch[..., 0, HITCH] = 1.0
-    of_hitch += turned(out)[..., None] * of_heading[..., None, :]
+    of_hitch += out[..., None] * of_heading[..., None, :]
     return PairSlopes(of_excess, of_heading, of_hitch)
 
 

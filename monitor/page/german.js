@@ -39,6 +39,7 @@ export const GERMAN = {
   "the wheels' sensor": "der Lenkwinkelsensor",
   "✔ Accepted: it is in the log, and used.": "✔ Angenommen: aufgezeichnet und benutzt.",
   "✘ Not accepted: {}": "✘ Nicht angenommen: {}",
+  "Implement": "Gerät", "A new run begins.": "Eine neue Fahrt beginnt.", "✘ Not changed: {}": "✘ Nicht gewechselt: {}",
   "This is a recorded simulated drive, while this computer gets ready{}.": "Das ist eine aufgezeichnete simulierte Fahrt, bis dieser Rechner bereit ist{}.",
   "Your own demo is recorded already.": "Die eigene Demo wird schon aufgezeichnet.",
   ", about {} left": ", noch etwa {}", ", ready at any moment": ", gleich bereit",

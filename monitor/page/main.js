@@ -6,6 +6,7 @@ import { prepareSwitch, said as inLanguage, t, translatePage, word } from "./lan
 import { showLengths } from "./lengths.js";
 import { FieldMap } from "./map.js";
 import { prepareMarks } from "./marks.js";
+import { Implement } from "./implement.js";
 import { Moved } from "./moved.js";
 import { Over } from "./over.js";
 import { PlayerBar } from "./player.js";
@@ -32,6 +33,7 @@ const steering = new Steering(byId("steering"), () => traces.times);
 const bar = new PlayerBar(), runs = new Runs(), report = new RunReport(), experiment = new Experiment();
 const calibration = new Calibration(), over = new Over();
 const moved = new Moved(byId("moved"));
+const implement = new Implement(byId("implement"));
 const map = new FieldMap(byId("map"), (on) => byId("follow").setAttribute("aria-pressed", String(on)));
 let heard = { notes: [], age_s: {}, events: [] };
 let heardAt = 0; // performance.now, ms
@@ -83,6 +85,7 @@ function show() {
   const status = heard.status ?? {};
   showRun(status);
   showProblems(status);
+  implement.show(status.implement, live("status") && !heard.player ? (status.implements ?? []) : []);
   moved.show(live("status") && !heard.player ? (status.moved ?? []) : []);
   showPreparing(status);
   showFacts(status);

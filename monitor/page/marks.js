@@ -8,9 +8,10 @@ const MARK_BYTES = 1024;
 const SHOWN_MS = 8000; // a mark that is in the log
 const byId = (id) => document.getElementById(id);
 
-async function send(text) {
+// What the daemon is asked to note in its log: {noted, text}.
+export async function noted(path, text) {
   try {
-    const answer = await fetch("/mark", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text }) });
+    const answer = await fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text }) });
     return await answer.json();
   } catch {
     return { noted: false, text: word("the page's own server does not answer") };
@@ -34,7 +35,7 @@ export function prepareMarks() {
       button.disabled = true;
       answers.set(text, [word("asking the daemon …"), "wait"]);
       show();
-      const result = await send(text);
+      const result = await noted("/mark", text);
       button.disabled = false;
       const answer = [told(result), result.noted ? "good" : "bad"];
       answers.set(text, answer);

@@ -2,19 +2,11 @@
 // that it is accepted, or back where it was.
 
 import { t, word } from "./language.js";
+import { noted } from "./marks.js";
 import { element } from "./tiles.js";
 import { capital } from "./words.js";
 
 const TITLES = { pair_tractor: "the tractor's pair", pair_implement: "the implement's pair", wheel_angle: "the wheels' sensor" };
-
-async function accept(name) {
-  try {
-    const answer = await fetch("/accept", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text: name }) });
-    return await answer.json();
-  } catch {
-    return { noted: false, text: word("the page's own server does not answer") };
-  }
-}
 
 export class Moved {
   constructor(box) {
@@ -41,7 +33,7 @@ export class Moved {
       button.addEventListener("click", async () => {
         for (const other of buttons) other.disabled = true;
         told.textContent = word("Asking the daemon …");
-        const result = await accept(name);
+        const result = await noted("/accept", name);
         for (const other of buttons) other.disabled = result.noted;
         told.textContent = result.noted ? word("✔ Accepted: it is in the log, and used.") : t`✘ Not accepted: ${result.text}`;
       });

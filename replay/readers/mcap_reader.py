@@ -5,6 +5,7 @@ frames are enough, `arrays.read_frames` takes a fraction of that (bench/replay_s
 """
 
 import io
+import struct
 from collections.abc import Iterator
 
 from google.protobuf.message import DecodeError
@@ -18,9 +19,12 @@ from tilth.logger.log.mcap_records import McapRecords
 from tilth.logger.log.mcap_summary import metadata_bodies
 from tilth.replay.readers.log import EmptyLog, ForeignLog, Gap, Logged, OpenLog, Record
 from tilth.schemas.flow import Frame
+from tilth.schemas.frame_columns import RX_NS
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
 DAMAGED = "damaged_chunk"  # how a part that cannot be read is counted
+_HEAD_OF_FRAME = struct.Struct(MESSAGE.format + "BQ")  # with tag and value of CanFrame.rx_ns
+_KINDS = 8192  # identifiers remembered; beyond them the memory starts anew
 MACHINE = "machine"  # metadata record: name, toml, dbc, sha256
 
 
@@ -34,6 +38,7 @@ class Channels:
         self.others: dict[int, str] = {}  # channel -> topic, of snapshots and of the results asked for
         self.known: set[int] = set()
         self.defined: set[int] = set()  # channels of schemas that are known
+        self._kinds: dict[bytes, tuple[int, bool, bool]] = {}  # as packed -> identifier, extended, error
 
     def add(self, channel: Channel) -> None:
         """Take a channel; a file appended to another gives its own numbers."""
@@ -61,30 +66,41 @@ class Channels:
         """Records among `data`, a sequence of whole MCAP records. The hot loop of replay."""
         found: list[Record] = []
         keep = found.append
-        parse = CanFrame.FromString
-        unpack = MESSAGE.unpack_from
-        bus_of = self.buses.get
+        unpack = _HEAD_OF_FRAME.unpack_from
+        bus_of, kind_of = self.buses.get, self._kinds.get
         end = len(data)
-        data += bytes(MESSAGE.size)  # a short last record can be unpacked like any other
+        data += bytes(_HEAD_OF_FRAME.size)  # a short last record can be unpacked like any other
         start = 0
         while start < end:
-            opcode, length, channel, _, t_ns, _ = unpack(data, start)
+            opcode, length, channel, _, t_ns, _, tag, rx_ns = unpack(data, start)
             stop = start + 9 + length
             if opcode != 5:
                 self.definition(opcode, data[start + 9 : stop])
             elif (bus := bus_of(channel)) is not None:
-                try:
-                    raw = parse(data[start + 31 : stop])
-                except DecodeError:
-                    self.log.skip("damaged_frame")
-                else:
-                    keep(Frame(t_ns, raw.rx_ns, bus, raw.can_id, raw.extended, raw.error, raw.data))
+                if tag == RX_NS and (kind := kind_of(data[start + 40 : stop - 8])) is not None:
+                    keep(Frame(t_ns, rx_ns, bus, *kind, data[stop - 8 : stop]))
+                elif (frame := self._frame(data[start + 31 : stop], t_ns, bus)) is not None:
+                    keep(frame)
             elif channel in self.others:
                 keep(self._other(self.others[channel], t_ns, data[start + 31 : stop]))
             elif channel not in self.known:  # in a cut log, what is damaged may have defined it
                 self.log.skip("undefined_channel")
             start = stop
         return found
+
+    def _frame(self, body: bytes, t_ns: int, bus: str) -> Frame | None:
+        """A frame by Protobuf. What stands between its time and its data is the same in each frame of its
+        identifier: known of one, it is looked up for all that follow."""
+        try:
+            raw = CanFrame.FromString(body)
+        except DecodeError:
+            self.log.skip("damaged_frame")
+            return None
+        if len(raw.data) == 8 and raw.rx_ns and raw.SerializeToString() == body:
+            if len(self._kinds) >= _KINDS:
+                self._kinds.clear()
+            self._kinds[body[9:-8]] = raw.can_id, raw.extended, raw.error
+        return Frame(t_ns, raw.rx_ns, bus, raw.can_id, raw.extended, raw.error, raw.data)
 
     def _other(self, topic: str, t_ns: int, data: bytes) -> Record:
         return Snapshot.FromString(data) if topic == SNAPSHOT_TOPIC else Logged(topic, t_ns, data)

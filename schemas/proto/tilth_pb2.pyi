@@ -483,7 +483,7 @@ class Moved(_message.Message):
     def __init__(self, names: _Optional[_Iterable[str]] = ..., text: _Optional[str] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s", "hours_left", "resting", "preparing", "ready_in_s", "moved")
+    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s", "hours_left", "resting", "preparing", "ready_in_s", "moved", "implement", "implements")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -509,6 +509,8 @@ class Status(_message.Message):
     PREPARING_FIELD_NUMBER: _ClassVar[int]
     READY_IN_S_FIELD_NUMBER: _ClassVar[int]
     MOVED_FIELD_NUMBER: _ClassVar[int]
+    IMPLEMENT_FIELD_NUMBER: _ClassVar[int]
+    IMPLEMENTS_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     run: str
     version: str
@@ -534,7 +536,9 @@ class Status(_message.Message):
     preparing: str
     ready_in_s: float
     moved: _containers.RepeatedCompositeFieldContainer[Moved]
-    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ..., hours_left: _Optional[float] = ..., resting: _Optional[bool] = ..., preparing: _Optional[str] = ..., ready_in_s: _Optional[float] = ..., moved: _Optional[_Iterable[_Union[Moved, _Mapping]]] = ...) -> None: ...
+    implement: str
+    implements: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ..., hours_left: _Optional[float] = ..., resting: _Optional[bool] = ..., preparing: _Optional[str] = ..., ready_in_s: _Optional[float] = ..., moved: _Optional[_Iterable[_Union[Moved, _Mapping]]] = ..., implement: _Optional[str] = ..., implements: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Snapshot(_message.Message):
     __slots__ = ("t_ns", "machine_sha256", "state_json")

@@ -58,6 +58,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_STEADY_TURN_EXISTS: "bei diesen Steifigkeiten gibt es keine gleichmäßige Kurve",
     Code.NOT_CONVERGED: "die Auswertung fand kein Ende",
     Code.BEYOND_TYRES: "das Ergebnis kann kein Reifen sein",
+    Code.TWO_PLACES: "zweierlei Reifen erklären diese Fahrt etwa gleich gut: auch anders lenken",
     Code.OUTPUTS_NOT_MEASURED: "Drehraten oder Richtungen beider Fahrzeuge sind nicht gemessen",
     Code.NO_STEADY_TURN: "keine gleichmäßige Kurve in dieser Fahrt",
     Code.END_OF_SEARCH: "ein Wert lief ans Ende seines Suchbereichs",

@@ -229,6 +229,15 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.FINISHED: "{file} war unfertig; jetzt fertig: {messages:.0f} Botschaften",
     NoticeCode.FITS_AT_OWN_PRIORITY: "ausgewertet wird mit dem Vorrang der Aufzeichnung: {why}",
     NoticeCode.FIT_FAILED: "eine Auswertung von {method} ist ausgefallen: {why}",
+    NoticeCode.IMPLEMENT_ASSUMED: (
+        "niemand hat gesagt, welches von {all} angehängt ist: {implement} wird angenommen; auf der Seite oder "
+        "mit `tilth implement NAME` wählen"
+    ),
+    NoticeCode.IMPLEMENT_CHANGED: "{implement} ist angehängt: eine neue Fahrt beginnt",
+    NoticeCode.IMPLEMENT_HEARD: (
+        "ein Steuergerät von {implement} meldet sich (NAME {device}), keines des vorigen Geräts: {implement} "
+        "ist angehängt, eine neue Fahrt beginnt"
+    ),
     NoticeCode.KERNELS_COMPILED: (
         "der Rechenteil wurde in {compiling_s:.0f} s übersetzt, während aufgezeichnet wurde; die Schätzung beginnt"
     ),

@@ -242,6 +242,15 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.FINISHED: "{file} was left unfinished; finished now: {messages:.0f} messages",
     NoticeCode.FITS_AT_OWN_PRIORITY: "fits are made at the recorder's own priority: {why}",
     NoticeCode.FIT_FAILED: "a fit of {method} failed: {why}",
+    NoticeCode.IMPLEMENT_ASSUMED: (
+        "of {all} nobody has said which is hitched on: {implement} is assumed; choose it on the page or by "
+        "`tilth implement NAME`"
+    ),
+    NoticeCode.IMPLEMENT_CHANGED: "{implement} is hitched on: a new run begins",
+    NoticeCode.IMPLEMENT_HEARD: (
+        "a device of {implement} is heard (NAME {device}), and none of the implement before: {implement} is "
+        "hitched on, and a new run begins"
+    ),
     NoticeCode.KERNELS_COMPILED: (
         "kernels were compiled for {compiling_s:.0f} s while frames were recorded; estimates begin"
     ),

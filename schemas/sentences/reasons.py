@@ -58,6 +58,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_STEADY_TURN_EXISTS: "no steady turn exists at these stiffnesses",
     Code.NOT_CONVERGED: "fit did not converge",
     Code.BEYOND_TYRES: "fit is beyond what tyres can be",
+    Code.TWO_PLACES: "two sets of tyres explain this driving about as well: steer in other ways, too",
     Code.OUTPUTS_NOT_MEASURED: "yaw rates or headings of both bodies are not measured",
     Code.NO_STEADY_TURN: "no steady turn in this run",
     Code.END_OF_SEARCH: "a parameter went to the end of where it is sought",

@@ -43,6 +43,7 @@ REJECTIONS: Final[Mapping[str, str]] = {
     Rejection.STAMP: "a stamp of an adapter that cannot be: the computer's is used",
     Rejection.MARK: "a mark that was refused",
     Rejection.ACCEPT: "an order to accept that was refused",
+    Rejection.IMPLEMENT: "an order of another implement that was refused",
 }
 LANGUAGES: Final[Mapping[str, Mapping[str, str]]] = {ENGLISH: REJECTIONS}
 

@@ -84,6 +84,14 @@ class RowBound:
     unexplained: float  # 1 - R^2 of the wheel angle on past innovations, adjusted
     wheel_rms: float  # rad
     spread: float  # of the coefficients of the past, the likeliest
+    told: Array  # (a, a), information of the row alone, of the six and whatever else it depends on
+    known: Array  # (a,), sds of what is known of them before
+
+
+def together(bounds: Sequence[RowBound]) -> Array:
+    """Of several rows of one rig, (6,)."""
+    told = np.sum([each.told for each in bounds], axis=0) + np.diag(bounds[0].known ** -2)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(told))[:6]))
 
 
 def likeliest_spread(stretches: Sequence[Array], order: int, spreads: Sequence[float]) -> float:
@@ -372,4 +380,6 @@ def bound_of(
         noise.share_of_own(wheel),
         float(np.std(wheel)),
         spread,
+        told,
+        known_before,
     )

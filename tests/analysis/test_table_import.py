@@ -99,6 +99,7 @@ def as_csv(columns: dict[str, Any], delimiter: str = ",") -> str:
     return out.getvalue()
 
 
+@pytest.mark.long
 def test_a_table_gives_the_numbers_of_its_drive(
     call: Call, drive: tuple[Path, Path, dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -36,6 +36,7 @@ def _short(name: str) -> spatial_logs.LogRow:
     return replace(row, seconds=row.seconds * SCALE)
 
 
+@pytest.mark.long
 def test_a_log_is_made_once(logs: Path) -> None:
     assert not spatial_logs.make(logs, _short(NAME), 3)
     folder = spatial_logs.folder_of(logs, NAME, 3)
@@ -44,6 +45,7 @@ def test_a_log_is_made_once(logs: Path) -> None:
     assert not spatial_logs.is_there(folder, spatial_logs.source_of(replace(_short(NAME), rms=0.02), 3))
 
 
+@pytest.mark.long
 def test_a_row_is_made_of_runs_that_are_kept(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,6 +72,7 @@ def test_after_a_line_that_was_cut_short_comes_a_new_one(tmp_path: Path) -> None
     assert set(spatial_rows.kept(bench, NAME)) == {7}
 
 
+@pytest.mark.long
 def test_what_is_true_of_the_nuisances_is_named_as_the_unknowns(logs: Path) -> None:
     run = spatial_logs.read_run(logs, NAME, 3)
     true = spatial_runs.true_nuisances(parse_machine(run.machine_text), run)

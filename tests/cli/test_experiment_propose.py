@@ -45,6 +45,7 @@ def sds_of(predicted: Mapping[str, float]) -> NDArray[np.float64]:
     return np.array([predicted[name] for name in PARAMETERS])
 
 
+@pytest.mark.long
 def test_what_a_log_told_counts_and_is_not_asked_for_again(
     step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

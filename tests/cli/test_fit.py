@@ -64,6 +64,7 @@ def test_the_two_steps_stand_beside(fit: Answer) -> None:
     assert status == 0 and set(run["two_step"]) == set(PARAMETERS)
 
 
+@pytest.mark.long
 def test_a_cut_log_is_fitted_as_far_as_it_is_whole(fit: Answer) -> None:
     status, out, _ = fit(cut(), "--json")
     assert status == 0 and json.loads(out)["runs"][0]["kind"] == "step"

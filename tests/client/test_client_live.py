@@ -69,7 +69,7 @@ def test_late_or_early_a_controller_has_the_last_value_the_model_and_the_changes
         until(lambda: client.latest().reason == "" and scaled(client, 1.0))
         assert client.rig is not None and client.rig.rig == rig_of(parse_machine(TEXT))
         assert client.linear(2.0).A.shape == (9, 9)
-        assert estimates.get(timeout=PATIENCE_S).usable == (True,) * 6
+        until(lambda: estimates.get(timeout=PATIENCE_S).usable == (True,) * 6)  # the first may be an old one
         publisher.order(event="lost")
         publisher.order(event="soil_change")
         assert events.get(timeout=PATIENCE_S).kind == "soil_change"
@@ -82,7 +82,7 @@ def test_late_or_early_a_controller_has_the_last_value_the_model_and_the_changes
         # One that joins now gets the last value with its age, and is not deceived by it.
         with Client.connect(NAME, stale=RULE, endpoint=publisher.endpoint) as late:
             assert late.wait(PATIENCE_S)
-            assert 1.0 < late.latest().age_s < 30.0 and not any(late.latest().usable)
+            assert 1.0 < late.latest().age_s < PATIENCE_S and not any(late.latest().usable)
         publisher.order(silent=False)
         until(lambda: usable(client))
         assert client.refused == {}
@@ -95,13 +95,19 @@ def documented(endpoint: str, beside_demo: bool = False) -> str:
     assert "with Client" in lines and ", replay=True)" in lines
     lines = lines.replace("    print(theta, latest.codes, latest.reason)\n", "")
     lines = lines if beside_demo else lines.replace(", replay=True)", ")")
+    lines = lines.replace("wait(10.0)", f"wait({PATIENCE_S})")
     return lines.replace("stale=stale", f'endpoint="{endpoint}", stale=stale')
 
 
 def test_the_lines_of_the_documentation(publisher: Publisher) -> None:
     names: dict[str, Any] = {}
-    exec(documented(publisher.endpoint), names)
-    assert (names["theta"] != names["nominal"]).all() and names["A"].shape == (9, 9)
+
+    def estimated() -> bool:
+        exec(documented(publisher.endpoint), names)  # the first estimate may be an old one
+        return bool((names["theta"] != names["nominal"]).all())
+
+    until(estimated)
+    assert names["A"].shape == (9, 9)
 
 
 def test_the_lines_of_the_documentation_as_they_stand_hear_a_simulation() -> None:
@@ -109,9 +115,8 @@ def test_the_lines_of_the_documentation_as_they_stand_hear_a_simulation() -> Non
         names: dict[str, Any] = {}
         exec(documented(simulation.endpoint, beside_demo=True), names)
         assert names["theta"] == pytest.approx(THETA) and names["latest"].codes == ("",) * 6
-        exec(
-            documented(simulation.endpoint).replace("wait(10.0)", "wait(0.5)").partition("    A, B")[0], names
-        )
+        deaf = documented(simulation.endpoint).replace(f"wait({PATIENCE_S})", "wait(0.5)")
+        exec(deaf.partition("    A, B")[0], names)
         assert names["theta"] == pytest.approx(names["nominal"])
 
 
@@ -186,20 +191,23 @@ def test_a_network_that_is_cut_and_one_that_stalls(publisher: Publisher) -> None
     ) as client:  # fmt: skip
         assert client.wait(PATIENCE_S)
         way.cut()
-        until(lambda: not any(client.latest().usable))
-        assert not client.alive
+        until(lambda: not any(client.latest().usable) and not client.alive)
         way.restore()
         until(lambda: usable(client) and client.alive)
         # Nothing goes through, no connection breaks; then all of it comes at once, and is as old as it is.
         ages: SimpleQueue[float] = SimpleQueue()
         client.on_estimate(lambda latest: ages.put(latest.age_s))
-        way.open.clear()
-        until(lambda: client.latest().age_s > 1.5)
-        assert not any(client.latest().usable)
-        while not ages.empty():
-            ages.get()
-        way.open.set()
-        assert ages.get(timeout=PATIENCE_S) > 1.0
+
+        def held_back() -> bool:
+            way.open.clear()
+            until(lambda: client.latest().age_s > 1.5)
+            assert not any(client.latest().usable)
+            while not ages.empty():
+                ages.get()
+            way.open.set()
+            return ages.get(timeout=PATIENCE_S) > 1.0
+
+        until(held_back)  # not so where the publisher itself was late
         until(lambda: usable(client))
 
 

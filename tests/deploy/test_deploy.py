@@ -12,7 +12,7 @@ from loopback import TEXT
 from paths import ROOT
 
 from tilth.deploy import can_up
-from tilth.deploy.install import KERNELS, Failed, _dbc_beside, adapter_rule
+from tilth.deploy.install import KERNELS, Failed, _files_beside, adapter_rule
 
 INSTALLER = ROOT / "deploy" / "install.py"
 PYTHON = Path(sys.base_prefix) / "bin" / "python3"  # as on a bare computer, with pip
@@ -273,16 +273,18 @@ def test_a_machine_file_names_no_other_place_for_root_to_write(name: str, tmp_pa
 
 def test_a_plain_name_beside_the_machine_file_goes_with_it(tmp_path: Path) -> None:
     machine = tmp_path / "rig.toml"
-    (tmp_path / "wheel angle.dbc").write_text("VERSION")
+    for name in ("wheel angle.dbc", "cart.toml"):
+        (tmp_path / name).write_text("")
     for text, found in (
-        ('[wheel_angle]\ndbc = "wheel angle.dbc"', tmp_path / "wheel angle.dbc"),
-        ('[wheel_angle]\ndbc = "/usr/share/x.dbc"', None),  # the service's user reads it there
-        ("[wheel_angle]\ndbc = 3", None),  # the machine file is refused for it
-        ("wheel_angle = 3", None),
-        ("", None),
+        ('[wheel_angle]\ndbc = "wheel angle.dbc"', ["wheel angle.dbc"]),
+        ('[implements]\nfiles = ["cart.toml", "wheel angle.dbc"]', ["cart.toml", "wheel angle.dbc"]),
+        ('[wheel_angle]\ndbc = "/usr/share/x.dbc"', []),  # the service's user reads it there
+        ("[wheel_angle]\ndbc = 3", []),  # the machine file is refused for it
+        ("wheel_angle = 3", []),
+        ("", []),
     ):
         machine.write_text(text)
-        assert _dbc_beside(machine) == found
+        assert _files_beside(machine) == [tmp_path / name for name in found]
     machine.write_text("[wheel")
     with pytest.raises(Failed, match=r"rig.toml: "):
-        _dbc_beside(machine)
+        _files_beside(machine)

@@ -35,7 +35,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 NAME = "jd7930-parker500"
 BASE = f"tilth/{NAME}"
-ORDERED = ("mark", "accept", "report/make")
+ORDERED = ("mark", "accept", "implement", "report/make")
 NOW = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
 
 
@@ -112,6 +112,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
     with open_session(config=folder / "witness.json") as witness:
         until(lambda: answers_to(witness, f"{BASE}/status") == [b"well"], lambda: None)
         witness.declare_subscriber(f"{BASE}/**", lambda sample: one.witness.put(sample.payload.to_bytes()))
+        assert answers_to(witness, f"{BASE}/status") == [b"well"]  # so the subscription is known
         yield one
     session.close()
 

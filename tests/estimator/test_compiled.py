@@ -176,6 +176,7 @@ def _run(root: Path, package: Path, constants: str) -> Results:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long
 def test_a_changed_constant_recompiles_and_an_unchanged_one_does_not(runs: list[Results], name: str) -> None:
     first, again, changed = (run[name] for run in runs)
     assert first == (BEFORE.get(name, 1.0), "compiled and kept", 0)
@@ -277,12 +278,12 @@ def test_the_digest_follows_a_constant_three_calls_down(monkeypatch: pytest.Monk
 
 
 def test_the_digest_follows_what_is_generated(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = digest(predictor.run_filter.function)
+    before = digest(predictor.run_ticks.function)
     written = rolling_kernels.motion.function
     code = written.__code__
     other = tuple(2.5 * item if isinstance(item, float) else item for item in code.co_consts)
     monkeypatch.setattr(written, "__code__", code.replace(co_consts=other))
-    assert digest(predictor.run_filter.function) != before
+    assert digest(predictor.run_ticks.function) != before
 
 
 def test_the_digest_does_not_depend_on_where_a_function_stands() -> None:
@@ -311,11 +312,11 @@ def test_a_loop_has_the_steps_of_its_user() -> None:
 
 
 def test_an_inline_kernel_is_compiled_in_its_callers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = {function.__name__ for function in predictor.run_filter.functions()}
-    assert {"run_filter", "take_row"} <= names and "begin_tick" not in names
+    names = {function.__name__ for function in predictor.run_ticks.functions()}
+    assert {"over_ticks", "propagate"} <= names and "begin_tick" not in names
 
-    function = predictor.run_filter.function
+    function = predictor.run_ticks.function
     before = kernel_digest.digest(function, kernel_digest.readings(function))
     monkeypatch.delitem(predictor.begin_tick.function.__dict__, "compiled_as")
-    assert "begin_tick" in {one.__name__ for one in predictor.run_filter.functions()}
+    assert "begin_tick" in {one.__name__ for one in predictor.run_ticks.functions()}
     assert kernel_digest.digest(function, kernel_digest.readings(function)) != before

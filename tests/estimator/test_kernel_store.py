@@ -66,6 +66,7 @@ def started(installed: Path, tmp_path: Path, **environment: str) -> tuple[bool, 
 
 
 @pytest.mark.skipif(not kernel_store.has_baseline(), reason="this processor lacks the baseline")
+@pytest.mark.long
 def test_an_installed_tilth_compiles_nothing(installed: Path, tmp_path: Path) -> None:
     ready, compiled, folder, target = started(installed, tmp_path)
     assert folder.startswith(str(installed)) and target in ("x86-64-v3", "generic")

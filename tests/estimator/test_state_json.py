@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tilth.estimator.diagnosis.open_numbers import Misfit
+from tilth.estimator.methods import rows
 from tilth.estimator.state_json import LONGEST_LIST, from_json_data, to_json_data
 
 
@@ -61,3 +63,19 @@ def test_a_spoilt_array_is_refused(spoilt: dict[str, object]) -> None:
     data = to_json_data(Thing(np.zeros(20)))
     with pytest.raises(ValueError):
         from_json_data(Thing, {**data, "array": {**data["array"], **spoilt}})
+
+
+def test_what_rows_tell_of_the_file_comes_back_as_what_it_was() -> None:
+    """Their fit goes through the log's text before it is used: a list in its place made the fold begin
+    anew."""
+    told = Misfit(3.0, np.ones(2), np.full(2, 0.5), np.ones(3), np.ones(3), np.ones((6, 20)))
+    made = rows.Fit(np.zeros(6), np.eye(6), 0.9, 0.01, 120.0, 4, 1.0, False, False, None, None, told)
+    back = from_json_data(rows.Fit, json.loads(json.dumps(to_json_data(made))))
+    assert isinstance(back.of_file, Misfit)
+    for one, other in zip(back.of_file, told, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_named_tuple_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError):
+        from_json_data(Misfit, [3.0])

@@ -197,6 +197,7 @@ def with_sure_inertias(machine: Machine) -> Machine:
     return machine.model_copy(update=sure)
 
 
+@pytest.mark.long
 def test_who_knows_a_soft_soil_keeps_the_implement_nearer_to_its_line_in_the_turn(
     machine: Machine, nominal: Rig
 ) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from logs import MACHINE, MACHINE_FILE
+from logs import MACHINE
 from loopback import PATIENCE_S, machine_text, records_of
 from mcap.reader import make_reader
 from paths import ROOT, SUPPORT
@@ -79,6 +79,7 @@ def unfit(x: float) -> float:
     return x + len(f"{object()!r}") * 0.0
 
 
+@pytest.mark.long
 def test_what_a_drive_calls_was_prepared() -> None:
     """Whatever the estimators do: stretches, advice, fits in place, faults. A process of its own, since here
     others have called kernels before."""
@@ -127,9 +128,10 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
     shares = [done.share for done in told]
     assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] == compiling.MOST
     assert 0.2 < shares[len(shares) // 2] < 0.9  # the motion's slopes, most of the work, come early
-    codes = {function.__code__ for kernel in kernels for function in kernel.functions()}
-    assert [done.functions for done in told] == [*range(1 + len(codes))]
-    assert {done.of for done in told} == {len(codes)}
+    functions = {function for kernel in kernels for function in kernel.functions()}
+    assert [done.functions for done in told] == [*range(1 + len(functions))]
+    assert {done.of for done in told} == {len(functions)}
+    assert compiling.SECONDS.keys() <= {function.__name__ for function in functions}
 
 
 def test_a_kernel_that_the_compiler_refuses_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +153,9 @@ def test_a_kernel_that_the_compiler_refuses_is_reported(monkeypatch: pytest.Monk
     assert len(said) == 1 and "unfit is interpreted: " in said[0]
 
 
-def test_the_time_left_never_grows_while_a_function_takes_long(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_left_never_grows_nor_stands_while_a_function_takes_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now = [100.0]
     monkeypatch.setattr("tilth.logger.preparing.time.monotonic", lambda: now[0])
     monkeypatch.setattr(compiling, "is_prepared", lambda machine: True)
@@ -174,7 +178,8 @@ def test_the_time_left_never_grows_while_a_function_takes_long(monkeypatch: pyte
         assert preparing.text == f"compiling: {done} of 80 done"
     known = [one for one in said if one is not None]
     assert said[:4] == [None] * 4 and len(known) == 8
-    assert known == sorted(known, reverse=True) and known[-1] < known[0]
+    assert all(later < before for before, later in zip(known[:-1:2], known[1::2], strict=True))  # 30 s later
+    assert known == sorted(known, reverse=True) and known[-1] > 0.0
 
 
 @pytest.fixture(scope="module")
@@ -285,20 +290,18 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "expected"),
+    ("words", "expected"),
     [
-        ([], 2, "usage: python -m tilth.logger.compiling MACHINE.toml\n"),
-        (["nowhere.toml"], 2, "nowhere.toml: the machine file cannot be read (no such file"),
-        ([str(MACHINE_FILE)], 0, ""),
+        ([], "usage: python -m tilth.logger.compiling MACHINE.toml\n"),
+        (["nowhere.toml"], "nowhere.toml: the machine file cannot be read (no such file"),
     ],
 )
-def test_it_is_a_command_too(words: list[str], status: int, expected: str) -> None:
+def test_it_is_a_command_too(words: list[str], expected: str) -> None:
+    """The one with which each run of the tests begins (conftest.py)."""
     done = subprocess.run(
         [sys.executable, "-m", "tilth.logger.compiling", *words], check=False, capture_output=True, text=True
     )
-    assert (
-        done.returncode == status and done.stderr.startswith(expected) and bool(done.stderr) == bool(expected)
-    )
+    assert done.returncode == 2 and done.stderr.startswith(expected)
 
 
 LOOSENED: dict[str, Callable[[Path], object]] = {

@@ -43,6 +43,7 @@ def test_what_was_driven_before_the_end_is_fitted_once() -> None:
     assert fold.finish() == []
 
 
+@pytest.mark.long
 def test_a_replay_of_what_a_replay_wrote_is_identical(log: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
     writer = LogWriter(again, MachineFile(MACHINE, MACHINE_TEXT), RunPart("run", 1, START_NS))
@@ -55,6 +56,7 @@ def test_a_replay_of_what_a_replay_wrote_is_identical(log: Path, tmp_path: Path)
     assert second.estimates == summary.estimates
 
 
+@pytest.mark.long
 def test_the_end_is_told_by_outcomes_before_their_time(log: Path, tmp_path: Path) -> None:
     fold = GuardedFold(MACHINE)
     for frame in simulate(MACHINE, SEED, SECONDS, QUIET):

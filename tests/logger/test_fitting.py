@@ -15,6 +15,7 @@ import pytest
 from circle import demo_machine
 from logs import MACHINE_TEXT as PACKAGED
 from logs import Live, results_of
+from loopback import PATIENCE_S
 
 from tilth.estimator.methods import pem, rows, two_step
 from tilth.estimator.methods.estimators import ESTIMATORS
@@ -205,7 +206,7 @@ def test_an_end_in_the_middle_of_a_fit_waits_for_nothing() -> None:
     worker = Worker(MACHINE, lambda kind, told: messages.append(notice_sentence(told)))
     worker.ask(pem.METHOD, replace(a_job(), record=_endless()))
     worker.close()
-    deadline = time.monotonic() + 30.0  # a busy computer may take longer to end it than `close` waits
+    deadline = time.monotonic() + PATIENCE_S  # a busy computer may take longer to end it than `close` waits
     while worker._job is not None and time.monotonic() < deadline:
         continue
     assert worker._job is None

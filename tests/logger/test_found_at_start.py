@@ -125,7 +125,7 @@ def test_a_time_that_is_none_is_not_used(utc_ns: str, tmp_path: Path) -> None:
     assert "is not used" in told[0]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_no_value_in_it_ends_a_start(data: st.DataObject) -> None:
     """Each place of a good file, with anything that JSON can say."""

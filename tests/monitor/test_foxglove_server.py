@@ -49,6 +49,7 @@ def server(*words: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
         process.communicate()
 
 
+@pytest.mark.long
 def test_a_viewer_has_what_the_daemon_publishes(tmp_path: Path) -> None:
     with closing(FieldRig(tmp_path, 240.0)) as rig, server("--connect", rig.endpoint) as (address, process):
         assert address.startswith("ws://127.0.0.1:")
@@ -117,7 +118,7 @@ def test_a_viewer_of_another_origin_is_refused_as_by_the_page(
 def test_what_is_no_request_ends(guarded: tuple[int, list[str]]) -> None:
     port, _ = guarded
     for nonsense in (b"\r\n\r\n", b"\xff" * 100_000, b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 9000):
-        with socket.create_connection(("127.0.0.1", port), timeout=10) as raw, suppress(ConnectionError):
+        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as raw, suppress(ConnectionError):
             raw.sendall(nonsense)
             assert b"400" in raw.recv(100)
     assert status_of(port, [f"Host: localhost:{port}"]) == 101
@@ -147,7 +148,7 @@ def status_of(port: int, headers: list[str]) -> int:
         f"Sec-WebSocket-Key: {key}",
         "Sec-WebSocket-Protocol: foxglove.sdk.v1",
     ]
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as raw:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as raw:
         raw.sendall("\r\n".join([*lines, "", ""]).encode())
         return int(raw.recv(100).split()[1])
 

@@ -278,6 +278,24 @@ def test_one_tap_is_a_mark_and_a_refusal_says_why(browser: Browser) -> None:
         page.context.close()
 
 
+def test_an_implement_is_chosen_on_the_page(browser: Browser) -> None:
+    with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
+        page, faults = opened(browser, monitor, "phone")
+        expect_run(page, "RECORDING", "good")
+        choice = page.locator("#implement select")
+        expect(choice).to_be_hidden()  # the tractor has one alone
+        stage.order(implements=["parker", "krampe", "slurry"])
+        expect(choice).to_have_value("parker")
+        choice.select_option("slurry")
+        expect(page.locator("#implement")).to_contain_text("✘ Not changed: no implement slurry")
+        expect(choice).to_have_value("parker")
+        choice.select_option("krampe")
+        expect(choice).to_have_value("krampe")
+        expect(page.locator("#implement output")).to_have_text("")  # the daemon says that it is so
+        assert faults.told == []
+        page.context.close()
+
+
 def test_what_has_been_moved_is_accepted_by_a_tap(browser: Browser) -> None:
     with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
         page, faults = opened(browser, monitor, "phone")

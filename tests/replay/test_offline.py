@@ -63,6 +63,7 @@ def test_a_run_gives_its_own_bytes_again(live: Live) -> None:
     assert output == []
 
 
+@pytest.mark.long
 def test_what_nobody_reads_changes_no_result(live: Live) -> None:
     file = MachineFile(MACHINE, MACHINE_TEXT)
     verified = replay(live.parts, file, outputs=ReplayOutputs(comparison=Comparison()))
@@ -77,6 +78,7 @@ def test_a_part_replays_alone(live: Live, part: int) -> None:
     assert comparison.compared > 300
 
 
+@pytest.mark.long
 def test_the_parts_count_together_what_they_count_alone(live: Live) -> None:
     together, _ = run(live.parts)
     alone = [run([path])[0] for path in live.parts]
@@ -171,6 +173,7 @@ def test_a_part_whose_state_is_refused_says_why_and_gives_poses_all_the_same(
     assert (again.poses, output) == (summary.poses, [])
 
 
+@pytest.mark.long
 def test_the_parts_of_a_run_go_on_from_one_another_where_their_states_are_refused(
     live: Live, tmp_path: Path
 ) -> None:

@@ -165,6 +165,10 @@ def _are_there(heard: Heard, t_ns: dict[str, int]) -> bool:
     return all(found[kind] is not None and found[kind].t_ns == at_ns for kind, at_ns in t_ns.items())
 
 
+def _stands(heard: Heard, jumps: int, at_s: float) -> bool:
+    return (heard.state.jumps, heard.state.at_s) == (jumps, at_s)
+
+
 def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) -> None:
     heard = start()
     until(lambda: heard.state.state == PlayState.PLAYING)
@@ -175,7 +179,7 @@ def test_a_jump_gives_the_values_of_its_time_at_once_and_in_order(start: Start) 
         assert heard.order("seek", at_s=at_s) == ""
         t_ns = {"pose": START_NS + int(10 * at_s) * SECOND // 10, "soil_tire": START_NS + int(at_s) * SECOND}
         until(partial(_are_there, heard, t_ns))
-        assert (heard.state.jumps, heard.state.at_s) == (jumps, at_s)
+        until(partial(_stands, heard, jumps, at_s))
         kinds = [(key.rpartition("/")[2], getattr(message, "jumps", 0)) for key, message in heard.rows]
         assert ("pose", 0) in kinds[kinds.index(("player", jumps)) :]
     value = heard.last("soil_tire").parameters[0].value
@@ -194,8 +198,7 @@ def test_what_holds_where_it_stands_is_said_again(start: Start) -> None:
     t_ns = {"pose": START_NS + 50 * SECOND, "soil_tire": START_NS + 50 * SECOND}
     for _ in range(2):
         heard.rows.clear()
-        until(lambda: heard.last("pose") is not None and heard.last("soil_tire") is not None)
-    assert _are_there(heard, t_ns)
+        until(partial(_are_there, heard, t_ns))
 
 
 @pytest.mark.parametrize(
@@ -235,8 +238,8 @@ def test_another_run_is_opened_under_the_name_of_its_own_machine(start: Start) -
     assert heard.state.state == PlayState.IDLE
     assert "no run is open yet" in heard.order("play")
     assert heard.order("open", run=name_of(OTHER)) == ""
-    until(lambda: heard.last("pose", OTHER) is not None)
-    assert heard.last("player", OTHER).run == name_of(OTHER)
+    until(lambda: heard.last("pose", OTHER) is not None and heard.last("player", OTHER) is not None)
+    until(lambda: heard.last("player", OTHER).run == name_of(OTHER))
     until(lambda: alive(heard.other) == [f"tilth/{OTHER}/replay/alive"])
     assert heard.order("open", f"tilth/{OTHER}/replay", run=name_of(MACHINE.name)) == ""
     until(lambda: heard.state.run == name_of(MACHINE.name))

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import can
 import pytest
-from loopback import GROUP, TEXT, free_port
+from loopback import GROUP, PATIENCE_S, TEXT, free_port
 from paths import ROOT
 
 from tilth.cli import main
@@ -66,7 +66,7 @@ def test_another_process_understands_what_is_sent(machine: Machine) -> None:
         return looks[1] > 3
 
     with sending(port, "--seconds", "2.5") as process:
-        for frame in listen([bus], 120.0, lambda kind, told: None, over):
+        for frame in listen([bus], PATIENCE_S, lambda kind, told: None, over):
             received.append(frame)
             survey.take(frame)
         assert process.stdout is not None
@@ -78,7 +78,7 @@ def test_another_process_understands_what_is_sent(machine: Machine) -> None:
     wheel = compile_sensor(machine).can_id
     angles = [[f.data for f in rows if f.can_id == wheel] for rows in (received, wanted)]
     assert angles[0] == angles[1] and len(angles[0]) > 200
-    assert (received[-1].t_ns - received[0].t_ns) * 1e-9 > 2.0  # in real time
+    assert (received[-1].t_ns - received[0].t_ns) * 1e-9 > 1.0  # in real time, if late
 
 
 FIX = frames_of(129025, encode(129025, {"latitude_deg": 47.0, "longitude_deg": 8.0}), 99)[0]
@@ -108,14 +108,14 @@ def test_sending_stops_once_a_receiver_appears() -> None:
     port = free_port()
     with (
         can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0) as bus,
-        sending(port, "--seconds", "5") as process,
+        sending(port, "--seconds", "60") as process,
     ):
-        assert bus.recv(60.0) is not None
+        assert bus.recv(PATIENCE_S) is not None
         bus.send(can.Message(arbitration_id=FIX[0], data=FIX[1], is_extended_id=True))
         assert process.stdout is not None
         output = json.loads(process.stdout.read())
     assert process.returncode == 1 and "address 99 sends 129025" in output["stopped"]
-    assert 0 < output["frames"] < 5000
+    assert 0 < output["frames"] < 60_000
 
 
 def other(name: str, frames: list[Frame], machine: Machine) -> tuple[int, bool, bytes]:

@@ -37,9 +37,9 @@ LINEAR[AT["curvature"]] = 0.0
 
 def one_tick(setup: RigSetup, point: Array) -> Transition:
     """The linear model at SPEED: the same at each tick but for the position, which is not in it."""
-    plant = empty_plant.interpreted()(setup, 0)
+    plant = empty_plant(setup, 0)
     set_plant.interpreted()(plant, point, setup, likelihood.NOTHING)
-    ticks, step = np.zeros((10, 8)), empty_transition.interpreted()(0, 0, 1)
+    ticks, step = np.zeros((10, 8)), empty_transition(0, 0, 1)
     ticks[:, 1] = SPEED
     set_bank.interpreted()(SPEED, setup, step)
     set_processes.interpreted()(SPEED, ground_at.interpreted()(point), setup, step, 0)

@@ -1,13 +1,14 @@
 """Logs for the tests of replay: written as the daemon writes them, read back whole."""
 
+import importlib
 import re
 import struct
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import can
 import numpy as np
 from paths import ROOT, SHARED
 
@@ -23,6 +24,9 @@ from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.simulate import Candump
+
+if TYPE_CHECKING:
+    import can
 
 DATA = SHARED / "data"
 MACHINE_FILE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
@@ -97,8 +101,10 @@ def drained(path: Path) -> tuple[list[Frame], OpenLog]:
     return [record for record in log.records if isinstance(record, Frame)], log
 
 
-def messages(count: int) -> list[can.Message]:
+def messages(count: int) -> "list[can.Message]":
     """Of two channels; every seventh is short with an 11-bit identifier."""
+    import can  # here, since conftest.py says how it is imported
+
     return [
         can.Message(
             timestamp=1_700_000_000 + i * 0.00125,
@@ -111,7 +117,11 @@ def messages(count: int) -> list[can.Message]:
     ]
 
 
-def write_with_can(path: Path, rows: list[can.Message]) -> Path:
+def write_with_can(path: Path, rows: "list[can.Message]") -> Path:
+    import can.io.mf4
+
+    if path.suffix == ".mf4":
+        importlib.reload(can.io.mf4)  # with asammdf now, which only this needs
     with can.Logger(str(path)) as writer:
         for row in rows:
             writer.on_message_received(row)

@@ -2,6 +2,7 @@
 variances, and for each unknown their slopes in the open loop, by the filter and by differences, as JSON."""
 
 import json
+import os
 import sys
 import tomllib
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood, unknowns
-from tilth.estimator.filters.predictor import Innovations, run_filter
+from tilth.estimator.filters.predictor import Innovations
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import N_STATES
 from tilth.estimator.record.record import Record
@@ -23,7 +24,7 @@ TICKS = 40
 
 def main(machine_file: str, names: list[str]) -> dict[str, list[list[float]]]:
     """What is printed."""
-    likelihood.run_filter = run_filter.interpreted()  # type: ignore[assignment,attr-defined]
+    os.environ["NUMBA_DISABLE_JIT"] = "1"  # before numba is imported
     machine = Machine.model_validate(tomllib.loads(Path(machine_file).read_text(encoding="utf-8")))
     setup, (mean, _) = rig_setup(machine), unknowns.prior(machine)
     ticks = np.zeros((TICKS, 8))

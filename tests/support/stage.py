@@ -48,6 +48,7 @@ MOUNTS = ("tractor_front", "tractor_rear", "implement_front", "implement_rear")
 ORDERS: dict[str, Any] = {
     "scale": 1.0, "lost": "", "recording": True, "event": "", "text": "", "version": "", "silent": False,
     "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "", "moved": [],
+    "implements": [],
     "run": "20261121T080000Z", "log_file": "", "wheel": None, "ahead_s": 0.0,
 }  # fmt: skip
 
@@ -141,6 +142,9 @@ def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
     result.preparing = orders.get("preparing", "")
     if orders.get("ready_in_s") is not None:
         result.ready_in_s = orders["ready_in_s"]
+    if orders["implements"]:  # the first is hitched on
+        result.implement = orders["implements"][0]
+        result.implements.extend(sorted(orders["implements"]))
     if orders["moved"]:
         result.moved.add(names=orders["moved"], text=f"{orders['moved'][0]} has been moved 0.10 m forward")
     result.buses.add(name="can0", state="open", frames_per_s=800.0, load=0.45)
@@ -236,7 +240,16 @@ def main() -> None:
         orders["moved"] = []
         query.reply(query.key_expr, b"")
 
-    sink = ZenohSink(parse_machine(text_on(port)), "replay", answers={"mark": mark, "accept": accept})
+    def implement(query: zenoh.Query, client: str) -> None:
+        name = query.payload.to_string() if query.payload is not None else ""
+        if name not in orders["implements"][:2]:
+            query.reply_err(f"no implement {name}")
+            return
+        orders["implements"] = sorted(orders["implements"], key=lambda one: one != name)
+        query.reply(query.key_expr, b"")
+
+    answers = {"mark": mark, "accept": accept, "implement": implement}
+    sink = ZenohSink(parse_machine(text_on(port)), "replay", answers=answers)
     ended = take_orders(orders)
     ready()
     every_s, scale, changed_s, points = 0.1 * rate, 1.0, 0.0, drive(0.1)

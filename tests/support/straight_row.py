@@ -1,5 +1,6 @@
 """Records of a straight row, without noise or with what a linear rig makes of steering and ground."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters.likelihood import NOTHING
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond
+from tilth.estimator.filters.sensors.wheel_play import flanks
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
 from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE, Record
@@ -46,15 +48,22 @@ def weaving(seconds: float, speeds: tuple[float, float] = (4.2, 4.2), seed: int 
     return Record(0, ticks, made[np.lexsort((made[:, 1], made[:, 0]))])
 
 
-def raw_response(record: Record, point: Array, setup: RigSetup, places: Places = NOTHING) -> Array:
-    """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a)."""
+def raw_response(
+    record: Record,
+    point: Array,
+    setup: RigSetup,
+    places: Places = NOTHING,
+    of_rows: Sequence[float] = (0.0,) * 3,
+) -> Array:
+    """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a). of_rows:
+    play of the wheel sensor and scales of turn rates."""
     m, speeds = len(record.rows), tabulated(record.ticks)
     zeros = np.zeros((m, len(KEPT)))
     gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
     whole = Whitened(
         record.ticks, record.rows, gains, filter_model(speeds, point, setup), np.arange(m), np.ones(m),
-        np.array([record.ticks[:, 0].mean()]),
+        np.array([record.ticks[:, 0].mean()]), flanks(record.ticks[:, 0]),
     )  # fmt: skip
     out = np.empty((m, 1 + len(places)))
-    respond(whole, straight_model(speeds, point, setup, places), point, places, out)
+    respond(whole, straight_model(speeds, point, setup, places), np.append(point, of_rows), places, out)
     return out

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from logs import MACHINE_TEXT
 from recorded import MARKS, marked, recorded, shared_cache
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import tilth.analysis
 from tilth.analysis.fit import fitting
@@ -75,6 +76,13 @@ def test_what_is_kept_is_not_fitted_again(answer: dict[str, Any], monkeypatch: p
     done: list[tuple[int, int]] = []
     again = fit_all(choose([run]), cache=shared_cache(), progress=lambda *at: done.append(at))
     assert json.loads(json.dumps(as_json(again))) == answer and done == [(2, 2)]
+
+
+def test_linear_algebra_has_one_thread_from_a_fit_on(answer: dict[str, Any]) -> None:
+    (run,) = tilth.analysis.open(recorded().parts)
+    with threadpool_limits(2):
+        fit_all(choose([run]), cache=shared_cache())
+        assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {1}
 
 
 def test_segments_have_the_numbers_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,7 @@ ANY = st.text(st.characters(exclude_categories=()), max_size=40)
 """Control characters and halves of characters too, as a mark or the name of a file may have them."""
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @example(WRITTEN)
 @example('\\b" + read("id_rsa") ), //')
 @example("\b")

@@ -21,10 +21,11 @@ UUID = "0123456789abcdef" * 2
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two runs in two parts each, and replays of them."""
     folder = tmp_path_factory.mktemp("logs")
-    for name, seed in (("a", 3), ("b", 4)):
+    for name, seed, copies in (("a", 3, ("again", "other", "first")), ("b", 4, ("again",))):
         record(folder, list(simulate(MACHINE, seed, 12.0)), 2, name)
         parts = [str(folder / f"{name}_{part:03d}.mcap") for part in (1, 2)]
-        for out, given in (("again", parts), ("other", parts), ("first", parts[:1])):
+        for out in copies:
+            given = parts[:1] if out == "first" else parts
             assert main(["replay", *given, "--out", str(folder / f"{name}-{out}.mcap"), "--json"]) == 0
     shutil.copy(folder / "a_001.mcap", folder / "copy.mcap")
     return folder

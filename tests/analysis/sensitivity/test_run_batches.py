@@ -14,8 +14,9 @@ from tilth.analysis.sensitivity.designs import DISSERTATION, Grid, LogNormal, Un
 from tilth.analysis.sensitivity.global_answer import global_answer
 from tilth.analysis.sensitivity.local import local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import SIX, Unstable
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, here, pairs, part_of, run
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, Part, pairs, part_of, run
 from tilth.analysis.sensitivity.slopes import VARIED
+from tilth.analysis.workers.parts import here
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 

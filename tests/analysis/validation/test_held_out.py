@@ -31,6 +31,7 @@ def table(fitted: Fitted) -> tuple[Subset, ...]:
     return hold_out(fitted, shared_cache())
 
 
+@pytest.mark.long
 def test_every_subset_over_every_run(fitted: Fitted, table: tuple[Subset, ...]) -> None:
     ids = [wanted.id for wanted in fitted.wanted]
     assert [row.fitted for row in table] == [(), (ids[0],), (ids[1],), tuple(ids)]
@@ -39,6 +40,7 @@ def test_every_subset_over_every_run(fitted: Fitted, table: tuple[Subset, ...]) 
         assert [cell.held_out for cell in row.cells] == [id not in row.fitted for id in ids]
 
 
+@pytest.mark.long
 def test_what_was_learned_predicts_better_than_the_machine_file(table: tuple[Subset, ...]) -> None:
     untaught, *_, taught = table
     for before, after in zip(untaught.cells, taught.cells, strict=True):
@@ -53,6 +55,7 @@ def test_what_was_learned_predicts_better_than_the_machine_file(table: tuple[Sub
             assert cell.implement_m_low <= cell.implement_m <= cell.implement_m_high
 
 
+@pytest.mark.long
 def test_wrong_tyres_predict_worse(fitted: Fitted) -> None:
     own = fitted.fits[0]
     run = predictable(MACHINE, "one", driven_of(fitted.wanted[0], shared_cache()), own.mean)
@@ -63,6 +66,7 @@ def test_wrong_tyres_predict_worse(fitted: Fitted) -> None:
     assert good.tractor_m < 0.3 and bad.tractor_m > 3.0 * good.tractor_m and bad.gain < good.gain
 
 
+@pytest.mark.long
 def test_the_way_is_that_of_the_table(fitted: Fitted, table: tuple[Subset, ...]) -> None:
     run = predictable(MACHINE, "one", driven_of(fitted.wanted[0], shared_cache()), fitted.fits[0].mean)
     assert run is not None
@@ -77,12 +81,14 @@ def test_the_way_is_that_of_the_table(fitted: Fitted, table: tuple[Subset, ...])
     assert np.all((behind > 5.0) & (behind < 7.0))
 
 
+@pytest.mark.long
 def test_what_is_too_short_cannot_be_predicted(fitted: Fitted) -> None:
     driven = driven_of(fitted.wanted[0], shared_cache())
     assert predictable(MACHINE, "x", driven[:30], fitted.fits[0].mean) is None
     assert predictable(MACHINE, "x", (), fitted.fits[0].mean) is None
 
 
+@pytest.mark.long
 def test_numbers_that_do_not_exist_are_none(table: tuple[Subset, ...]) -> None:
     rows: list[dict[str, Any]] = plain(table)
     assert rows[0]["fitted"] == [] and set(rows[1]["cells"][0]) >= {"run", "held_out", "tractor_m", "gain"}
@@ -95,6 +101,7 @@ def test_subsets(count: int, rows: int) -> None:
     assert len(found) == rows == len(set(found)) and len(found[-1]) == count
 
 
+@pytest.mark.long
 def test_a_group_of_the_dissertations_runs_is_the_table(fitted: Fitted, table: tuple[Subset, ...]) -> None:
     rows: Any = chapter7.group(fitted, shared_cache())["subsets"]
     assert [row["runs"] for row in rows] == [[], [1], [2], [1, 2]] and "values" not in rows[0]
@@ -110,6 +117,7 @@ def test_nothing_told_nothing_held_out() -> None:
     assert hold_out(Fitted((), (), (), None, None)) == ()
 
 
+@pytest.mark.long
 def test_the_fit_comes_near_the_truth(fitted: Fitted) -> None:
     assert fitted.joint is not None
     truth = np.log([draw(MACHINE, 3, STEPS)[name] for name in PARAMETERS])

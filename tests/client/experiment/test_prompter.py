@@ -421,6 +421,7 @@ def in_the_middle(prompt: Prompt, at: int) -> bool:
     return prompt.phase == RUNNING and (prompt.at, prompt.tries) == (at, 1) and 4.0 < into_s < 9.0
 
 
+@pytest.mark.long
 def test_brakes_lost_rtk_and_a_refused_mark_cost_a_try_and_no_run() -> None:
     fourth = COURSE.drives[4].scheduled
 

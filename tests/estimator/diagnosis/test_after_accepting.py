@@ -43,8 +43,9 @@ MOVED: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     DRAWBAR: ((0.1,), (0.02,)),
 }
 """What was moved -> by how much, and the sds with which the watch finds it in fields; m or rad."""
-ORDINARY = (WHEEL,)  # the others take as long: with `-m coverage`
-EACH = [name if name in ORDINARY else pytest.param(name, marks=pytest.mark.coverage) for name in MOVED]
+EACH = [
+    pytest.param(name, marks=pytest.mark.long if name == WHEEL else pytest.mark.coverage) for name in MOVED
+]
 OFF = 1.5  # sds by which the accepted value is wrong
 ACCEPT_S, CHANGE_S, TURNS_AGAIN_S = 2.0, 38.0, 41.0
 FACTOR = 0.65  # of the stiffnesses, from CHANGE_S on

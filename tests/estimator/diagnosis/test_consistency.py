@@ -119,6 +119,7 @@ def test_a_right_file_is_confirmed_and_raises_nothing() -> None:
             assert abs(math.log(p.value / truth[name])) < 3.5 * p.sd / p.value, name
 
 
+@pytest.mark.long
 def test_long_circles_do_not_make_a_right_file_look_wrong() -> None:
     """Three steps of 30 s, as the dissertation ran them: for most of them the wheels are held."""
     heard = list(simulate(demo_machine(), 2, THREE_STEPS.seconds, THREE_STEPS))
@@ -203,6 +204,7 @@ def test_a_wrong_file_gives_no_number_and_names_the_key(wrong: str) -> None:
     assert any(flag.kind is CONTRADICTION for flag in poses[-1].flags)
 
 
+@pytest.mark.long
 def test_numbers_come_back_when_the_contradiction_is_gone() -> None:
     moved_receiver = Fault(Mount.TRACTOR_FRONT, 45.0, 75.0, "moved")
     scenario = replace(RANDOM, seconds=115.0, faults=(moved_receiver,))
@@ -304,6 +306,25 @@ def test_a_method_that_leaves_the_file_says_how_far_in_people_s_units(
     assert f"pem finds {words}" in text and text.endswith(f"{NUMBER[name].key}?")
 
 
+@pytest.mark.parametrize(
+    ("other", "accused"), [("none", True), ("silent", True), ("finds it", True), ("does not", False)]
+)
+def test_a_method_that_alone_leaves_the_file_has_lost_its_way(other: str, accused: bool) -> None:
+    """It is withheld itself; the file is right where the other one gives numbers without that. In space on 2
+    cm `tracker` found 1.8 times the inertia of rig 719 of the fleet, `pem` 1.3 times."""
+    machine, state = demo_machine(), Consistency()
+    loads = static_loads(rig_of(machine))
+    six = estimate_of((*(5.0 * load for load in loads), 1.0, 1.0, 1.0))
+    found = replace(six, method="tracker", nuisances={"I_t": (math.log(1.8), 0.02)})
+    consistency.check_estimate(state, machine, found)
+    if other != "none":
+        off = math.log(1.8 if other == "finds it" else 1.3)
+        consistency.check_estimate(state, machine, replace(six, nuisances={"I_t": (off, 0.02)}))
+        state.given["pem"] = [other != "silent"] * 6
+    assert bool(consistency._by_methods(state)) == accused
+    assert consistency.withheld(state, found).parameters[0].value is None
+
+
 @pytest.mark.parametrize("kind", range(4))
 def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kind: int) -> None:
     """Also of a pair, whose key the open tracker has as well, which needs longer."""
@@ -322,12 +343,15 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
     assert one.code is Code.OFF_WHERE_PARKED and one.amounts == (0.5,) and one.since_ns == pose.t_ns
 
 
-@pytest.mark.parametrize("uneven", [0.005, 0.012])
-def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
-    uneven: float,
+@pytest.mark.parametrize(
+    ("uneven", "fit", "accuses"), [(0.005, 1e3, True), (0.012, 1e3, False), (0.005, 1.0, False)]
+)
+@pytest.mark.long
+def test_where_it_may_have_diverged_what_the_open_tracker_finds_accuses_no_file(
+    uneven: float, fit: float, accuses: bool
 ) -> None:
-    """There it may have diverged: it begins again each time, and agrees with any file for a while; the
-    file does not stay confirmed for that."""
+    """On rough ground it begins again each time, and agrees with any file for a while; the file does not stay
+    confirmed for that. Where fits of whole windows (chi-square) find the file right, it is believed."""
     machine = demo_machine()
     state, out = run(machine, frames())
     pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
@@ -338,6 +362,7 @@ def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
 
     checks, accused = state.diagnosis.consistency, list[str]()
     checks.confirmed = checks.rates_known = True
+    checks.fit = near._replace(total=fit)
     for _ in range(200):  # poses, 40 s
         poses += 1
         evidence = OpenEvidence(
@@ -346,5 +371,5 @@ def test_on_rough_ground_what_the_open_tracker_finds_accuses_no_file(
         done = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
         accused += [kind for kind, _ in done.events]
         poses = 0 if done.reset_open else poses
-    assert accused == ([CONTRADICTION] if uneven < open_tracker.OPEN_TRACKER.rough else [])
-    assert not checks.confirmed
+    assert accused == ([CONTRADICTION] if accuses else [])
+    assert checks.confirmed == (fit < CONSISTENCY.ends * CONSISTENCY.begins_total)

@@ -126,6 +126,18 @@ def test_what_driving_has_excluded_adds_nothing(name: str) -> None:
     assert after < 0.2 * before and after < 0.02 * OPEN_SD[NAMES.index(name)] / 0.5 + 0.02
 
 
+@pytest.mark.parametrize(("off", "sure"), [(0.0, True), (0.4, False), (-0.8, False)])
+def test_of_the_implement_s_axle_a_fit_of_windows_is_believed(off: float, sure: bool) -> None:
+    """The second tracker alone knows it to 20 cm at best. Of another number the fit changes nothing."""
+    tracked = evidence({"e": 3.0}, {"e": 0.2}, 0.5)
+    fit = evidence({}, {"e": off / NUMBER["e"].open_sd, "a": 2.0}, 0.08 / NUMBER["e"].open_sd).misfit
+    before, after = (math.sqrt(widening_of(tracked, fit=one).covariance[2, 2]) for one in (None, fit))
+    assert before > 0.15 and (after < 0.1) == sure and after >= 0.8 * 3.0 * abs(off)
+    others = evidence({"wheel_gain": 1.0}, {}, 0.5)
+    fit = evidence({}, {"wheel_gain": 2.0}, 0.5).misfit
+    assert np.allclose(widening_of(others, fit=fit).covariance, widening_of(others).covariance, rtol=1e-6)
+
+
 def test_the_implement_s_mass_is_in_the_methods_covariances_already() -> None:
     assert not widening_of(evidence({"m_i": 1.0}, {"m_i": -3.0}, 1.0)).covariance[2, 2]
 

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.newton import End, Minimum, Rule, minimise, newton_step, share_of_step
+from tilth.estimator.filters.newton import (
+    End,
+    Minimum,
+    Rule,
+    are_two,
+    beside,
+    flattest,
+    minimise,
+    newton_step,
+    share_of_step,
+)
 
 Array = NDArray[np.float64]
 
@@ -100,3 +110,84 @@ def test_no_step_of_a_search_is_longer_than_its_limits(each: bool) -> None:
     rule = Rule(np.array([0.1, 0.02]), each, 0.2, 1e-9, tries=12)
     ends = [minimise(Valley(), np.array([-1.2, 1.0]), rule, most).at for most in range(1, 6)]
     assert (np.abs(np.diff(ends, axis=0)) <= rule.limits + 1e-12).all()
+
+
+def test_the_flattest_direction_is_one_sd_long_and_the_others_follow() -> None:
+    """Along no other change of the same length, in sds, have data narrowed the prior less."""
+    root = np.random.default_rng(3).normal(size=(4, 4))
+    covariance, prior_sd = root @ root.T + 0.1 * np.eye(4), np.full(4, 5.0)
+    told = np.array([True, True, True, False])
+    found = flattest(covariance, prior_sd, told)
+    assert found @ np.linalg.solve(covariance, found) == pytest.approx(1.0)
+    widest = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    assert float(np.sum(found[:3] ** 2)) == pytest.approx(widest)
+
+
+@dataclass(frozen=True)
+class TwoHollows:
+    """(x^2 - 1)^2 + tilt x, depth nats, beside a parabola: two minima where the tilt is small."""
+
+    tilt: float = 0.0
+    depth: float = 4.0
+    overshoot: float = 1.0  # of the curvature that Gauss's information has, over the true one
+
+    def cost(self, at: Array) -> float:
+        x, y = at
+        return float(self.depth * ((x * x - 1.0) ** 2 + self.tilt * x) + 2.0 * (y - 0.3 * x) ** 2)
+
+    def terms(self, at: Array) -> tuple[Array, Array, Array]:
+        x, y = at
+        of_y = 4.0 * (y - 0.3 * x)
+        gradient = np.array([self.depth * (4.0 * x * (x * x - 1.0) + self.tilt) - 0.3 * of_y, of_y])
+        bend = max(8.0 * self.depth * self.overshoot, 1.0)
+        return at, gradient, np.array([[bend + 0.36, -1.2], [-1.2, 4.0]])
+
+    def after(self, at: Array, change: Array) -> Array | None:
+        return at + change if self.cost(at + change) <= self.cost(at) + 0.2 else None
+
+    def taken(self, step: int, at: Array) -> Array:
+        return at
+
+    def settled(self, step: int, before: Array, at: Array, sizes: Array) -> bool:
+        return bool(np.max(sizes) < 1e-4)
+
+
+def hollow(problem: TwoHollows, start: Array, secant: bool = False) -> Minimum[Array]:
+    return minimise(problem, start, Rule(np.full(2, 0.5), False, 0.2, 1e-9, tries=12, secant=secant), 200)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "two"), [(0.0, True), (0.1, True), (0.25, True), (-0.3, True), (0.6, False)]
+)
+def test_two_minima_of_a_made_up_cost_are_told(tilt: float, two: bool) -> None:
+    """Only where either may be: with a tilt of 0.6 the other is 4.8 nats above."""
+    problem = TwoHollows(tilt, depth=1.0 if two else 4.0)
+    places = []
+    for start in (-1.5, 1.5):
+        found = hollow(problem, np.array([start, 0.0])).at
+        covariance = np.linalg.inv(problem.terms(found)[2])
+        direction = flattest(covariance, np.full(2, 3.0), np.array([True, False]))
+        change = beside(lambda by, found=found: problem.cost(found + by) - problem.cost(found), direction)
+        if change is None:
+            continue
+        other = hollow(problem, found + change).at
+        worse = abs(problem.cost(other) - problem.cost(found))
+        places.append(are_two((other - found) / np.sqrt(np.diag(covariance)), worse))
+    assert any(places) == two
+
+
+def test_one_minimum_has_no_sign_of_another() -> None:
+    for seed in range(20):
+        _, _, information = quadratic(seed)
+        covariance = np.linalg.inv(information)
+        direction = flattest(covariance, np.full(5, 3.0), np.arange(5) < 3)
+        assert beside(lambda by, A=information: float(by @ A @ by) / 2.0, direction) is None
+
+
+def test_a_search_that_goes_to_and_fro_is_ended_by_a_secant() -> None:
+    """Gauss's information has half of the curvature, so that each step goes as far beyond as it came."""
+    problem = TwoHollows(overshoot=0.5)
+    start = np.array([1.04, 0.3])
+    plain, secant = hollow(problem, start), hollow(problem, start, secant=True)
+    assert secant.end is End.SETTLED and secant.steps < 12
+    assert plain.steps > 5 * secant.steps

@@ -70,10 +70,10 @@ def test_a_response_passes_through_it_as_readings_do() -> None:
     without, with_it = gains_for(record, noise, model), gains_for(record, noise + steered, model)
     row = Whitened(
         record.ticks, record.rows, without, model, np.arange(m), np.ones(m),
-        np.array([record.ticks[:, 0].mean()]),
+        np.array([record.ticks[:, 0].mean()]), np.zeros(len(record.ticks)),
     )  # fmt: skip
     out = np.empty((m, 1))
-    respond(row, straight_model(speeds, MEAN, SETUP, NOTHING), MEAN, NOTHING, out)
+    respond(row, straight_model(speeds, MEAN, SETUP, NOTHING), np.append(MEAN, [0.0] * 3), NOTHING, out)
     np.testing.assert_allclose(out[:, 0], with_it.e - without.e, atol=1e-9)
     assert np.abs(out).max() > 0.01
 

@@ -1,5 +1,7 @@
 """A fit of straight rows: its slopes, its epochs, and what it finds on ground that no filter assumes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from circle import demo_machine
@@ -8,9 +10,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from straight_row import raw_response, weaving
 
-from tilth.estimator.filters import unknowns
+from tilth.estimator.filters import row_fit, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.row_fit import OUTPUTS, RowFit, across_row, along_north, epochs_of, fitted
+from tilth.estimator.filters.row_fit import (
+    OUTPUTS,
+    RowFit,
+    RowPosterior,
+    across_row,
+    along_north,
+    epochs_of,
+    fitted,
+)
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import (
     EAST,
@@ -42,9 +52,12 @@ def rut(record: Record, rng: np.random.Generator) -> Array:
     return np.asarray(sizes * profile[(at + 200 - later).astype(int)] / profile.std())
 
 
-def driven(seconds: float, seed: int, point: Array) -> Record:
-    """A row of a rig at a point of the unknowns, on such ground, with white sensors."""
+def driven(seconds: float, seed: int, point: Array, slower: int = 1) -> Record:
+    """A row of a rig at a point of the unknowns, on such ground, with white sensors. slower: an odd number of
+    ticks, over which steering is a mean."""
     record, rng = weaving(seconds, seed=seed), np.random.default_rng(1000 + seed)
+    angle = np.pad(record.ticks[:, WHEEL_ANGLE], slower // 2, "edge")
+    record.ticks[:, WHEEL_ANGLE] = np.convolve(angle, np.ones(slower) / slower, "valid")
     rows = record.rows.copy()
     rows[:, VALUE] = raw_response(record, point, SETUP)[:, 0]
     rows[:, VALUE] += rut(record, rng) + rows[:, SD] * rng.standard_normal(len(rows))
@@ -87,11 +100,21 @@ def test_what_is_measured_together_is_of_one_epoch(phase: float, jitter: float, 
     assert np.all(epochs == epochs[:, :1]) and np.all(np.diff(epochs[:, 0]) == 1)
 
 
-@pytest.mark.parametrize("name", ["C_af", "C_ai", "sigma_r", "wheel_gain", "roll_k_t", "d", "lever_t"])
+OF_ROWS_NAMES = ("play", "rate_scale_t", "rate_scale_i")
+
+
+@pytest.mark.parametrize(
+    "name", ["C_af", "C_ai", "sigma_r", "wheel_gain", "roll_k_t", "d", "lever_t", *OF_ROWS_NAMES]
+)
 def test_slopes_are_those_of_differences(name: str) -> None:
-    fit, step = RowFit([driven(30.0, 1, MEAN)], SETUP, MEAN, COVARIANCE), 1e-4 * np.eye(len(MEAN))[AT[name]]
-    column, none = int(np.flatnonzero(fit.active == AT[name])[0]), np.zeros(1)
-    here, ahead, behind = (fit.at(MEAN + way * step, none) for way in (0.0, 1.0, -1.0))
+    fit = RowFit([driven(30.0, 1, MEAN)], SETUP, MEAN, COVARIANCE)
+    if name in OF_ROWS_NAMES:
+        column = OF_ROWS_NAMES.index(name) - len(OF_ROWS_NAMES)
+        step, own_step = np.zeros(len(MEAN)), 1e-4 * np.eye(len(fit.none))[column]
+    else:
+        column = int(np.flatnonzero(fit.active == AT[name])[0])
+        step, own_step = 1e-4 * np.eye(len(MEAN))[AT[name]], fit.none
+    here, ahead, behind = (fit.at(MEAN + way * step, way * own_step) for way in (0.0, 1.0, -1.0))
     assert here is not None and ahead is not None and behind is not None
     slopes = fit.slopes(here)[0][fit.order :, :, column]
 
@@ -103,6 +126,32 @@ def test_slopes_are_those_of_differences(name: str) -> None:
     np.testing.assert_allclose(slopes, differences, atol=3e-3 * np.abs(differences).max())
 
 
+def with_play(angle: Array, half: float) -> Array:
+    """What a linkage passes on that turns freely within twice as much."""
+    passed, value = np.empty(len(angle)), angle[0]
+    for k, there in enumerate(angle):
+        passed[k] = value = min(max(value, there - half), there + half)
+    return passed
+
+
+def test_play_of_the_wheel_sensor_is_found_and_moves_no_stiffness(monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.2 degrees from flank to flank, and noise."""
+    half, row = np.radians(0.1), driven(60.0, 6, MEAN, slower=51)
+    ticks, rng = row.ticks.copy(), np.random.default_rng(1)
+    ticks[:, WHEEL_ANGLE] = with_play(ticks[:, WHEEL_ANGLE], half)
+    ticks[:, WHEEL_ANGLE] += np.radians(0.02) * rng.standard_normal(len(ticks))
+
+    def found(angles: Array) -> RowPosterior:
+        return RowFit([Record(0, angles, row.rows)], SETUP, MEAN, COVARIANCE).maximise()
+
+    even, played = found(row.ticks), found(ticks)
+    assert abs(even.play) < 0.4 * half and 0.5 * half < played.play < 1.3 * half
+    assert abs(played.mean[0] - even.mean[0]) < 0.15
+    monkeypatch.setattr(row_fit, "ROW_FIT", replace(row_fit.ROW_FIT, play_sd=1e-9))
+    assert found(ticks).mean[0] - even.mean[0] > 0.3  # where it is no unknown
+
+
+@pytest.mark.long
 def test_intervals_hold_on_ground_that_no_filter_assumes() -> None:
     """Of tyres that are far from the prior's; two rows together."""
     ratios = []

@@ -40,6 +40,7 @@ def apart(logs: list[Array], covariance: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", [1])
+@pytest.mark.long
 def test_three_starting_points_lead_to_one_place(seed: int) -> None:
     """Before roll modes were settled by exact slopes, sigma_i ended 0.8 sd apart."""
     machine, job = first_window(seed)
@@ -54,6 +55,7 @@ def test_three_starting_points_lead_to_one_place(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1])
+@pytest.mark.long
 def test_a_rounding_of_positions_moves_nothing_far(seed: int) -> None:
     """11 mm, white: at 42° N or on the equator the same drive has others."""
     machine, job = first_window(seed)

@@ -60,7 +60,7 @@ def bank_matrix(speed: float) -> Array:
 
 
 def test_the_implement_meets_the_cross_slope_of_the_tractor_where_its_wheels_come_to_it() -> None:
-    step = empty_transition.interpreted()(0, 0, 1)
+    step = empty_transition(0, 0, 1)
     c, d, e = LOW.geometry[2:5]
     for speed in (1.5, 2.0, 4.5):
         set_bank.interpreted()(speed, LOW, step)

@@ -55,6 +55,7 @@ def test_relaxation_lengths_are_found_where_the_stiffnesses_are_right() -> None:
     assert found.values[3:] == pytest.approx(TRUTH[3:], rel=0.03)
 
 
+@pytest.mark.long
 def test_with_a_free_gain_the_intervals_are_too_narrow() -> None:
     """With the stiffnesses given, sensor noise alone, and 12 runs of steps."""
     wheel = np.repeat(np.radians([0.0, 8.0, -8.0, 4.0, -6.0]), TICKS // 5)

@@ -95,6 +95,7 @@ def changed_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.skipif(shutil.which("uv") is None, reason="needs uv")
+@pytest.mark.long
 def test_a_new_unknown_is_a_row_and_a_symbol(changed_tree: Path) -> None:
     """Its slopes are those of differences; where it is nothing, all is as before."""
     after = _run(*NEW, "C_ar", "rate_late_t", path=changed_tree)

@@ -3,14 +3,17 @@
 import math
 
 import numpy as np
+import pytest
 from circle import demo_machine
 from estimation_study import RANDOM
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY
 from tilth.estimator.filters import unknowns
-from tilth.estimator.methods import open_tracker, tracker
+from tilth.estimator.methods import open_tracker, pem, tracker
 from tilth.estimator.record.record import Segment
 from tilth.estimator.rig.adjustments import Amount
 from tilth.estimator.rig.numbers import changed
@@ -61,3 +64,40 @@ def test_what_an_error_of_the_file_does_is_what_a_tracker_that_believes_it_learn
     slopes = now.moves[:, open_numbers.NAMES.index("e")] * off
     np.testing.assert_allclose(slopes[:3], moved[:3], atol=0.25 * np.abs(moved[2]))
     assert moved[2] < -0.05
+
+
+@pytest.mark.parametrize("whose", ["open", "believing", "none"])
+def test_ground_is_rough_where_either_tracker_says_so(whose: str) -> None:
+    """One that has taken rough ground for another rig has explained it away: it said 6 mrad where the other
+    said 8 to 10, and accused the right files of rigs 626 and 716 of the fleet."""
+    machine = demo_machine()
+    open_, believing = open_tracker.initial(machine), tracker.initial(machine)
+    for name, state in (("open", open_.tracker), ("believing", believing)):
+        share = 1.2 if name == whose else 0.8
+        state.disturbance[3] = (share * open_tracker.OPEN_TRACKER.rough) ** 2
+    assert open_tracker.observe(open_, machine, None, believing).rough == (whose != "none")
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 30.0))
+@settings(max_examples=30, deadline=None)
+def test_of_a_linear_model_a_fit_tells_what_one_with_open_numbers_would_find(seed: int, told: float) -> None:
+    """Information of any rank, in prior sds of the file; masses stay as the file says."""
+    machine, rng = demo_machine(), np.random.default_rng(seed)
+    mean, sd = unknowns.prior(machine)
+    free = np.flatnonzero((sd > 0.0) & ~np.isin(np.arange(len(sd)), unknowns.MASSES))
+    free = free[(free < unknowns.NOISE.start) | (free >= unknowns.NOISE.stop)]
+    rows = told * rng.standard_normal((int(rng.integers(1, 80)), len(free))) / sd[free]
+    measured = rng.standard_normal(len(rows))
+
+    def fitted(prior_sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at, covariance = mean.copy(), pem.with_known_masses(np.diag(prior_sd**2))
+        covariance[np.ix_(free, free)] = np.linalg.inv(rows.T @ rows + np.diag(prior_sd[free] ** -2.0))
+        at[free] += covariance[np.ix_(free, free)] @ rows.T @ measured
+        return at, covariance + pem.of_masses(np.diag(sd**2))
+
+    now = open_tracker.of_fit(machine, *fitted(sd), (mean, sd))
+    opened, covariance = fitted(open_tracker.opened(sd))
+    learned = [k for k in open_tracker.PLACES if k in free]
+    at, wide = np.isin(open_tracker.PLACES, learned), open_tracker.opened(sd)[learned]
+    np.testing.assert_allclose(now.off[at] / wide, (opened - mean)[learned] / wide, atol=1e-4)
+    np.testing.assert_allclose(now.sd[at] / wide, np.sqrt(np.diag(covariance)[learned]) / wide, atol=1e-4)

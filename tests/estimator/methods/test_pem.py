@@ -140,7 +140,7 @@ def test_intervals_cover_on_data_of_the_same_model(machine: Machine) -> None:
     mean, covariance = alone(machine)
     rng = np.random.default_rng(11)
     scores = []
-    for seed, kind in enumerate(["random", "chirp", "step"] * 8):
+    for seed, kind in enumerate(["random", "chirp", "step"] * 5):
         theta = np.exp(mean[SIX]) * rng.uniform(0.5, 1.5, 6)
         rig = TABLE_7_2._replace(**dict(zip(PARAMETERS, theta.tolist(), strict=True)))
         found = maximise_posterior(
@@ -149,9 +149,9 @@ def test_intervals_cover_on_data_of_the_same_model(machine: Machine) -> None:
         scores.append((found.mean[SIX] - np.log(theta)) / np.sqrt(np.diag(found.covariance)[SIX]))
         assert found.converged
     z = np.array(scores)
-    assert np.mean(np.abs(z) < 1.96) > 0.88  # 95 % expected of 144, sd 2 %
+    assert np.mean(np.abs(z) < 1.96) > 0.88  # 95 % expected of 90, sd 2.3 %
     assert np.sqrt(np.mean(z**2)) < 1.25
-    assert np.all(np.abs(z.mean(axis=0)) < 0.75)  # sd of each mean 0.2
+    assert np.all(np.abs(z.mean(axis=0)) < 0.75)  # sd of each mean 0.26
 
 
 @pytest.fixture
@@ -251,6 +251,7 @@ def test_a_late_fit_changes_nothing_but_is_counted(machine: Machine) -> None:
     assert take_events(state) == [("fit", reasoned(Reason(Code.FIT_DROPPED)))]
 
 
+@pytest.mark.long
 def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -> None:
     record, truth = _driven(2)
     state = pem.initial(machine)

@@ -144,18 +144,24 @@ def test_a_block_that_is_fitted_again_counts_once() -> None:
     assert sds(place.estimate(state, MACHINE, 30 * S)) == pytest.approx(sds(once))
 
 
-@pytest.mark.parametrize(("begins_s", "left"), [(-5.0, 2), (0.0, 1), (60.0, 1), (115.0, 2)])
-def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left: int) -> None:
-    """What pem told of the same driving goes; of turns before and after it stays."""
+@pytest.mark.parametrize("first", ["rows", "pem"])
+@pytest.mark.parametrize(("begins_s", "left"), [(-5.0, 2), (0.0, 1), (60.0, 1), (100.0, 1), (115.0, 2)])
+def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left: int, first: str) -> None:
+    """What pem told of the same driving goes, also where it is told later, as its window reaches over the end
+    of the row's block; of turns before and after it stays."""
     state = place.initial(MACHINE)
     row = Record(20 * S, np.zeros((6000, 8)))
     drive(state, 10 * S, 0.0, metres=600.0)
-    fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
     mean, known = state.prior_mean, np.diag(state.prior_sd**2)
     told = Told(100.0 * np.eye(6), np.zeros(6), np.zeros(6))
-    job = rows.Job(row.end_ns, row.end_ns, [row], False, mean, known)
-    place.learn(state, job, rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told))
-    assert len(state.windows) == left and state.windows[-1].method == rows.METHOD
+    job = rows.Job(row.end_ns, row.end_ns, [row], True, mean, known)
+    made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told)
+    if first == "rows":
+        place.learn(state, job, made)
+    fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
+    if first == "pem":
+        place.learn(state, job, made)
+    assert len(state.windows) == left and any(window.method == rows.METHOD for window in state.windows)
 
 
 def test_it_is_bounded_and_the_nearest_become_one() -> None:

@@ -97,7 +97,7 @@ KINDS = (
 
 @pytest.mark.parametrize("speed", [2.0, 4.5])
 def test_cross_slopes_keep_the_spread_of_the_prior_and_go_together(speed: float) -> None:
-    step, setup = empty_transition.interpreted()(0, 0, 1), rig_setup(MACHINE)
+    step, setup = empty_transition(0, 0, 1), rig_setup(MACHINE)
     set_bank.interpreted()(speed, setup, step)
     found = solve_discrete_lyapunov(step.bank, step.bank_noise)
     sds = np.sqrt(np.diag(found))
@@ -223,9 +223,9 @@ def test_headland_turns_do_not_make_tyres_soft(monkeypatch: pytest.MonkeyPatch) 
     estimated to be, tyres came out a third too soft there."""
     errors, scores, own = [], [], []
     for seed in range(3):
-        _, given, events, truth = driven(HEADLANDS, seed)
+        driven_to, given, events, truth = driven(HEADLANDS, seed)
         assert events == []
-        state = learned(given)
+        state = driven_to.estimators[tracker.METHOD]
         errors.append(state.mean[SIX] - truth)
         scores.append(errors[-1] / np.sqrt(np.diag(tracker.reported_covariance(state))))
         with monkeypatch.context() as patch:
@@ -396,6 +396,7 @@ def follow(state: TrackerState, segments: list[Segment]) -> None:
         tracker.take_segment(state, MACHINE, segment)
 
 
+@pytest.mark.long
 def test_straight_rows_teach_zero_and_alignment_but_not_the_soil() -> None:
     state = learned(driven(RANDOM, 1)[1])
     mean, sd = state.mean[SIX].copy(), np.sqrt(np.diag(state.covariance)[SIX])

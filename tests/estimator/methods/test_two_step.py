@@ -127,6 +127,7 @@ def test_it_changes_no_other_method_and_is_never_recommended() -> None:
     assert [p for p in run.publications if p.topic != topic] == usual.publications
 
 
+@pytest.mark.long
 def test_unless_the_machine_file_asks_for_it_it_is_not_there() -> None:
     usual = driven(QUIET, 42.0)
     assert not usual.estimates(two_step.METHOD) and two_step.METHOD not in usual.state.estimators

@@ -25,7 +25,7 @@ MODES = {
     "k_f": 466e3, "camber": 0.0, "slip_dependence": 0.0, "parallel": 0.0, "two_track": 1.0,
 }  # fmt: skip
 RNG = np.random.default_rng(5)
-_rates, _slopes, _empty = rates.interpreted(), rates_by_state.interpreted(), empty_motion.interpreted()
+_rates, _slopes = rates.interpreted(), rates_by_state.interpreted()
 _by_parameter = rates_by_parameter.interpreted()
 
 
@@ -43,7 +43,7 @@ def moved(x: Values, w: Values, p: Array) -> Values:
     """x' by name."""
     out = np.zeros(len(STATES))
     state, inputs = (np.array([v[n] for n in names]) for v, names in ((x, STATES), (w, INPUTS)))
-    _rates(state, inputs, p, _empty(), out)
+    _rates(state, inputs, p, empty_motion(), out)
     return dict(zip(STATES, out, strict=True))
 
 
@@ -139,10 +139,10 @@ def test_the_derivatives_are_those_of_differences(seed: int) -> None:
     def at(z: Array) -> Array:
         out = np.zeros(len(STATES))
         here = np.append(z[:BY_INPUT], x[11]), np.append(z[BY_INPUT:N_COLUMNS], w[6:])
-        _rates(*here, np.append(z[N_COLUMNS:], p[len(PARAMETERS) :]), _empty(), out)
+        _rates(*here, np.append(z[N_COLUMNS:], p[len(PARAMETERS) :]), empty_motion(), out)
         return out[[0, 1, 2, 3, 4, 5, 8, 9]]
 
-    motion, out = _empty(), np.zeros(len(STATES))
+    motion, out = empty_motion(), np.zeros(len(STATES))
     for _ in range(2):  # the second time the arrays are not empty
         _rates(x, w, p, motion, out)
         _slopes(x, w, p, motion)

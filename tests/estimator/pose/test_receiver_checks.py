@@ -204,7 +204,7 @@ def test_one_not_a_number_poisons_nothing() -> None:
     [
         pytest.param(TRACTOR, "not_roll_corrected", marks=pytest.mark.long),
         pytest.param(IMPLEMENT, "roll_corrected_twice", marks=pytest.mark.long),
-        ((Mount.IMPLEMENT_REAR,), "roll_corrected_twice"),
+        pytest.param((Mount.IMPLEMENT_REAR,), "roll_corrected_twice", marks=pytest.mark.long),
     ],
     ids=["tractor", "implement", "one"],
 )

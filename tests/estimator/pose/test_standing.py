@@ -8,6 +8,7 @@ from functools import cache
 import pytest
 from circle import demo_machine
 from paths import SHARED
+from sampled import sampled
 
 from tilth.estimator.driving import DRIVING
 from tilth.estimator.fold import State, initial, step
@@ -97,12 +98,14 @@ def test_a_wheel_angle_that_stands_still_is_named_and_no_number_is_given() -> No
     assert state.rejected["stands_still"] > 0
 
 
+TOLD: dict[str, list[str]] = {
+    "00-base": [], "27-wheel-spikes": ["spikes"], "28-wheel-frozen-at-30s": ["stands_still"],
+}  # fmt: skip
+
+
 @pytest.mark.skipif(not STRANGERS.is_dir(), reason="the strangers' logs are not here")
-@pytest.mark.parametrize(
-    ("name", "kinds"),
-    [("00-base", []), ("27-wheel-spikes", ["spikes"]), ("28-wheel-frozen-at-30s", ["stands_still"])],
-)
-def test_logs_of_strangers(name: str, kinds: list[str]) -> None:
+@pytest.mark.parametrize("name", sampled(TOLD, ["27-wheel-spikes"]))
+def test_logs_of_strangers(name: str) -> None:
     true = json.loads((STRANGERS / "00-base.truth.json").read_text())["parameters"]
     log = open_log(STRANGERS / f"{name}.log.gz")
     state, events, last = initial(MACHINE), list[str](), None
@@ -115,9 +118,9 @@ def test_logs_of_strangers(name: str, kinds: list[str]) -> None:
             elif isinstance(value, Estimate) and value.method == "tracker":
                 last = value
     log.file.close()
-    assert events == kinds and last is not None
+    assert events == TOLD[name] and last is not None
     given = last.parameters[0]
-    if "stands_still" in kinds:
+    if "stands_still" in events:
         assert given.status is Status.INVALID
     else:
         assert given.value is not None and given.sd is not None

@@ -174,7 +174,7 @@ def fitted(seed: int, machine: Machine, candidate: Candidate, known: list[int]) 
 
 
 @pytest.mark.coverage
-@pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (5.0, 1.25), (8.0, 1.12)])
+@pytest.mark.parametrize(("degrees", "most"), [(3.0, 1.45), (8.0, 1.12)])
 def test_a_chirp_brings_what_was_predicted(degrees: float, most: float) -> None:
     """Ten seconds on a linear plant with the model's own noise, all nuisances unknown. 40 runs put ±0.13
     on the mean square."""

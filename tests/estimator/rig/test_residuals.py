@@ -97,7 +97,11 @@ def test_slopes_of_length_and_gap_are_those_of_differences() -> None:
         worlds[:, body] = np.stack(
             [np.stack(rotate((axes[:, k, 0], axes[:, k, 1]), pair.heading), -1) for k in (0, 1)], 1
         )
-        slopes.append(residuals.pair_slopes(levers[:, body], drawn.places[:, body], axes, excess[:, body]))
+        slopes.append(
+            residuals.pair_slopes(
+                residuals.pair_geometry(levers[:, body], drawn.places[:, body]), axes, excess[:, body]
+            )
+        )
     expected = np.zeros((RIGS, 4, 14))
     for body in (0, 1):
         for k in range(7):
@@ -125,7 +129,9 @@ def test_shares_are_how_far_the_hitch_goes_across_with_each_antenna() -> None:
         (front, rear), place = drawn.levers[one, 0], float(drawn.places[one, 0])
         arm = front - rear
         across = np.array([-arm[1], arm[0]]) / np.hypot(*arm)
-        slopes = residuals.pair_slopes(drawn.levers[one, 0], np.array(place), np.zeros((2, 2)), np.array(0.0))
+        slopes = residuals.pair_slopes(
+            residuals.pair_geometry(drawn.levers[one, 0], np.array(place)), np.zeros((2, 2)), np.array(0.0)
+        )
         shares = residuals.hitch_shares(tuple(front.tolist()), tuple(rear.tolist()), place)
         assert -across @ slopes.hitch[:, 0:2] @ across == pytest.approx(shares[0])
         assert -across @ slopes.hitch[:, 2:4] @ across == pytest.approx(shares[1])
@@ -134,7 +140,9 @@ def test_shares_are_how_far_the_hitch_goes_across_with_each_antenna() -> None:
 def test_a_pair_that_is_turned_changes_its_heading_and_not_its_length() -> None:
     drawn = _drawn()
     levers = drawn.levers[:, 0]
-    slopes = residuals.pair_slopes(levers, drawn.places[:, 0], drawn.velocity[:, 0], np.zeros(RIGS))
+    slopes = residuals.pair_slopes(
+        residuals.pair_geometry(levers, drawn.places[:, 0]), drawn.velocity[:, 0], np.zeros(RIGS)
+    )
     turn = residuals.pair_turn(levers)
     assert (slopes.heading[:, residuals.LEVERS] * turn).sum(axis=1) == pytest.approx(-np.ones(RIGS))
     assert (slopes.excess[:, residuals.LEVERS] * turn).sum(axis=1) == pytest.approx(np.zeros(RIGS), abs=1e-12)

@@ -9,7 +9,7 @@ import time
 import can
 import pytest
 from listening import Listening, data_frame, virtual
-from loopback import free_port, until
+from loopback import PATIENCE_S, free_port, until
 
 from tilth.logger.can.bus_opening import open_port, why_not
 from tilth.logger.can.buses import EMPTY_READS, SILENT_NS, SLOW, WORKED_NS, Buses
@@ -187,7 +187,7 @@ class Hanging:
         if config.interface == "virtual":
             return open_port(config, clock, tally)
         self.opened += 1
-        self.released.wait(20)
+        self.released.wait(PATIENCE_S)
         port = open_port(virtual("hanging"), clock, tally)
         end = port.close
 
@@ -247,7 +247,7 @@ def test_a_port_that_hangs_in_closing_stops_nothing(talker: can.BusABC) -> None:
 
     class Stuck(LibraryPort):
         def close(self) -> None:
-            released.wait(20)
+            released.wait(PATIENCE_S)
             super().close()
 
         def take(self, frames: list[Frame], most: int) -> int:

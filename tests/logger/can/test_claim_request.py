@@ -6,6 +6,7 @@ import socket
 import can
 import pytest
 from logs import MACHINE_TEXT
+from loopback import PATIENCE_S
 
 from tilth.logger.can import claim_request, slcan, socketcan
 from tilth.logger.can.bus_opening import open_port
@@ -23,7 +24,7 @@ def bus(interface: str, channel: str, allowed: bool, **options: str | int | floa
 def test_it_asks_everybody_for_their_names_where_that_is_allowed(allowed: bool) -> None:
     with can.Bus(interface="virtual", channel="asked") as other:
         port = open_port(bus("virtual", "asked", allowed), Clock(), Tally())
-        message = other.recv(0.2 if allowed else 0.0)
+        message = other.recv(PATIENCE_S if allowed else 0.0)
         port.close()
         assert (message is not None) == allowed and port.note == ""
         if message is not None:

@@ -115,6 +115,7 @@ def test_without_locks_it_records_and_says_so(tmp_path: Path) -> None:
     assert read.good and [event.text for event in read.events if "no locks" in event.text]
 
 
+@pytest.mark.long
 def test_without_locks_logs_are_read_and_finished_all_the_same(tmp_path: Path) -> None:
     whole, cut = part(tmp_path, NAME, 1), part(tmp_path, OTHER, 1, finish=False)
     os.utime(cut, (1e9, 1e9))

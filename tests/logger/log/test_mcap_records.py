@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from logs import record, some_frames, write_mcap
 from mcap.opcode import Opcode
+from sampled import sampled
 
 from tilth.analysis.runs.run import open_runs
 from tilth.cli import main
@@ -64,7 +65,7 @@ def inserted(content: bytes, rng: np.random.Generator) -> bytes:
     return content[:at] + rng.bytes(int(rng.choice((1, 9, 300, 3000)))) + content[at:]
 
 
-@pytest.mark.parametrize("damage", [flipped, zeroed, removed, inserted])
+@pytest.mark.parametrize("damage", sampled([flipped, zeroed, removed, inserted], [removed]))
 def test_what_lies_behind_is_read(damage: Damage, log: bytes, tmp_path: Path) -> None:
     """At most the frames of the chunks that are hit are lost; a loss is a Gap, and `verify` is not good."""
     rng, path = np.random.default_rng(5), tmp_path / "x.mcap"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loopback import answers, rig, session, udp_bus
+from loopback import PATIENCE_S, answers, rig, session, udp_bus
 
 from tilth.client import Client, Staleness
 from tilth.estimator import fold
@@ -43,15 +43,15 @@ def test_the_client_is_told_what_is_known_of_a_place(sink: ZenohSink) -> None:
     with Client.connect(
         "jd7930-parker500", stale=Staleness(silence_s=3.0, data_s=math.inf), endpoint=sink.endpoints[0]
     ) as client:
-        here, far = (client.estimate_at(x, 0.0, timeout_s=20.0) for x in (0.0, 1000.0))
+        here, far = (client.estimate_at(x, 0.0, timeout_s=PATIENCE_S) for x in (0.0, 1000.0))
         assert here.method == far.method == "place" and here.of_place is not None and far.of_place is not None
         assert here.parameters[0].status is Status.ESTIMATED
         assert here.of_place.prior < far.of_place.prior
         assert far.of_place.latitude_deg - here.of_place.latitude_deg == pytest.approx(0.009, abs=1e-4)
         with pytest.raises(LookupError, match="give x and y of a place"):
-            client.estimate_at(math.nan, 0.0, timeout_s=20.0)
+            client.estimate_at(math.nan, 0.0, timeout_s=PATIENCE_S)
         with pytest.raises(LookupError, match="within 100 km"):
-            client.estimate_at(1e9, 0.0, timeout_s=20.0)
+            client.estimate_at(1e9, 0.0, timeout_s=PATIENCE_S)
 
 
 def test_a_question_on_a_wildcard_is_none(sink: ZenohSink) -> None:

@@ -1,14 +1,14 @@
-"""Batches on a Dask cluster: what run_batches.here does on this computer, with the same results.
+"""Parts of work on a Dask cluster: what parts.here does on this computer, with the same results.
 
-A worker that dies costs the batches it had: Dask gives them to another. One that hangs holds a batch, or its
-result; after a while the same batch is asked of another worker too, and whichever answers first counts.
+A worker that dies costs the parts it had: Dask gives them to another. One that hangs holds a part, or its
+result; after a while the same part is asked of another worker too, and whichever answers first counts.
 """
 
 import re
 import ssl
 import time
 from asyncio import CancelledError
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -16,16 +16,16 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
 
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, Parts, end_of, stored_part
+from tilth.analysis.workers.parts import LOST, Found, LostPart, Parts
 from tilth.schemas.invocation import installing
 from tilth.schemas.limiter import is_this_computer
 from tilth.schemas.readable import reason_of
 
 ANSWER_S: Final = 10.0  # how long a scheduler, and a first worker, are waited for
-SLOW: Final = 5.0  # times what half of the batches took at most: then another worker is asked too
+SLOW: Final = 5.0  # times what half of the parts took at most: then another worker is asked too
 HUNG_S: Final = 60.0  # and not before
-AHEAD: Final = 3  # batches asked for at once, for each thread of a worker
-TRIES: Final = 5  # workers that may die over one batch
+AHEAD: Final = 3  # parts asked for at once, for each thread of a worker
+TRIES: Final = 5  # workers that may die over one part
 GONE: Final = (OSError, TimeoutError, CancelledError)  # Dask's own errors of lost connections are OSErrors
 PACKAGES: Final = ("tilth", "numpy", "numba")
 
@@ -38,13 +38,13 @@ class Certificates(NamedTuple):
     key: str
 
 
-class DaskProblem(Exception):
-    """One sentence that says what to do."""
+class DaskProblem(LostPart):
+    """No part can be computed there; one sentence that says what to do."""
 
 
 def on_dask(address: str, certificates: Certificates | None = None, *, hung_s: float = HUNG_S) -> Parts:
-    """address: of the scheduler, tcp://host:8786, or tls://host:8786 with certificates. Raises DaskProblem
-    when it is used."""
+    """address: of the scheduler, tcp://host:8786, or tls://host:8786 with certificates. hung_s: after which
+    a worker hangs, where parts do not take longer. Raises DaskProblem when it is used."""
     return partial(_on_dask, address, certificates, hung_s)
 
 
@@ -77,9 +77,13 @@ def check_versions(here: dict[str, str], workers: dict[str, dict[str, str]]) -> 
 
 
 def _on_dask(
-    address: str, certificates: Certificates | None, hung_s: float, plan: GlobalPlan, starts: Sequence[int]
-) -> Generator[tuple[int, bytes], None, None]:
-    if not starts:
+    address: str,
+    certificates: Certificates | None,
+    hung_s: float,
+    part: Callable[[Any], bytes],
+    items: Sequence[Any],
+) -> Found[Any]:
+    if not items:
         return
     if re.fullmatch(r"\w+://\S+:\d+", address) is None:
         raise DaskProblem(f"{address} is no address of a Dask scheduler; give one such as tcp://host:8786")
@@ -98,7 +102,7 @@ def _on_dask(
         ) from None
     try:
         _check(client, address)
-        yield from _computed(distributed, client, plan, starts, hung_s)
+        yield from _computed(distributed, client, part, items, hung_s)
     except GONE as error:
         raise DaskProblem(
             f"the cluster at {address} is gone ({type(error).__name__}); what was finished is kept: start "
@@ -152,12 +156,12 @@ def _check(client: Any, address: str) -> None:
     check_versions(versions(), there)
 
 
-class _Batches:
-    """Batches that are asked for, and the workers that did not answer: others are asked then."""
+class _Asked:
+    """Parts that are asked for, and the workers that did not answer: others are asked then."""
 
-    def __init__(self, client: Any, plan: GlobalPlan) -> None:
-        self._client, self._plan = client, plan
-        self.asked: dict[Any, tuple[int, float]] = {}  # future -> its batch, when it was asked for
+    def __init__(self, client: Any, part: Callable[[Any], bytes]) -> None:
+        self._client, self._part = client, part
+        self.asked: dict[Any, tuple[Any, float]] = {}  # future -> its item, when it was asked for
         self._silent: set[str] = set()
 
     @property
@@ -166,67 +170,64 @@ class _Batches:
         threads: int = sum(self._client.nthreads().values())
         return AHEAD * max(threads, 1)
 
-    def ask(self, start: int) -> None:
+    def ask(self, item: Any) -> None:
         answering = [worker for worker in self._client.nthreads() if worker not in self._silent]
-        future = self._client.submit(
-            stored_part, self._plan, start, end_of(self._plan, start),
-            pure=False, retries=TRIES, workers=answering or None,
-        )  # fmt: skip
-        self.asked[future] = (start, time.monotonic())
+        future = self._client.submit(self._part, item, pure=False, retries=TRIES, workers=answering or None)
+        self.asked[future] = (item, time.monotonic())
 
-    def ask_another(self, future: Any, start: int) -> None:
+    def ask_another(self, future: Any, item: Any) -> None:
         """The workers that have it, or its result, are asked for nothing new."""
         holding = self._client.who_has([future]).get(future.key, ())
         working = self._client.processing().items()
         self._silent.update(holding or [worker for worker, keys in working if future.key in keys])
-        self.ask(start)
+        self.ask(item)
 
-    def repeat_late(self, late_s: float, open_ones: set[int]) -> None:
+    def repeat_late(self, late_s: float, open_ones: set[Any]) -> None:
         """Ask again for what has taken longer, once for each; give up what is no longer wanted."""
-        for future, (start, since) in list(self.asked.items()):
-            if start not in open_ones:
+        for future, (item, since) in list(self.asked.items()):
+            if item not in open_ones:
                 del self.asked[future]
                 self._client.cancel([future])
             elif time.monotonic() - since > late_s:
-                self.asked[future] = (start, time.monotonic())
-                self.ask_another(future, start)
+                self.asked[future] = (item, time.monotonic())
+                self.ask_another(future, item)
 
 
 def _computed(
-    distributed: Any, client: Any, plan: GlobalPlan, starts: Sequence[int], hung_s: float
-) -> Generator[tuple[int, bytes], None, None]:
-    batches = _Batches(client, plan)
-    open_ones = set(starts)
+    distributed: Any, client: Any, part: Callable[[Any], bytes], items: Sequence[Any], hung_s: float
+) -> Found[Any]:
+    asked = _Asked(client, part)
+    open_ones = set(items)
     took_s: list[float] = []
-    waiting = iter(starts)
+    waiting = iter(items)
     while open_ones:
-        for _ in range(batches.wanted - len(batches.asked)):
-            start = next(waiting, None)
-            if start is None:
+        for _ in range(asked.wanted - len(asked.asked)):
+            item = next(waiting, None)
+            if item is None:
                 break
-            batches.ask(start)
+            asked.ask(item)
         try:
             with client.as_current():
                 done = distributed.wait(
-                    list(batches.asked), timeout=min(hung_s, 1.0), return_when="FIRST_COMPLETED"
+                    list(asked.asked), timeout=min(hung_s, 1.0), return_when="FIRST_COMPLETED"
                 ).done
         except TimeoutError:
             done = set()
         for future in done:
-            start, since = batches.asked.pop(future)
-            if start not in open_ones:
+            item, since = asked.asked.pop(future)
+            if item not in open_ones:
                 continue
-            part = _result(future, hung_s)
-            if part is None:
-                batches.ask_another(future, start)
+            found = _result(distributed, future, hung_s)
+            if found is None:
+                asked.ask_another(future, item)
                 continue
             took_s.append(time.monotonic() - since)
-            open_ones.discard(start)
-            yield start, part
-        batches.repeat_late(max(hung_s, SLOW * median(took_s or [0.0])), open_ones)
+            open_ones.discard(item)
+            yield item, found
+        asked.repeat_late(max(hung_s, SLOW * median(took_s or [0.0])), open_ones)
 
 
-def _result(future: Any, within_s: float) -> bytes | None:
+def _result(distributed: Any, future: Any, within_s: float) -> bytes | LostPart | None:
     """None where the worker that computed it does not hand it over."""
     try:
         found: bytes = future.result(timeout=within_s)
@@ -234,9 +235,11 @@ def _result(future: Any, within_s: float) -> bytes | None:
         return None
     except GONE:
         raise
+    except distributed.KilledWorker:
+        return LostPart(LOST)
     except Exception as error:
         raise DaskProblem(
-            f"a batch could not be computed by the workers ({type(error).__name__}: {error}); what was "
+            f"a part could not be computed by the workers ({type(error).__name__}: {error}); what was "
             "finished is kept: give the same command again"
         ) from None
     return found

@@ -17,9 +17,13 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
+from logs import some_frames, write_mcap
 
+from tilth.analysis.season.season import TABLE, season
 from tilth.analysis.sensitivity import run_batches
-from tilth.analysis.sensitivity.dask_batches import (
+from tilth.analysis.sensitivity.designs import DISSERTATION, Uniform
+from tilth.analysis.sensitivity.run_batches import GlobalPlan, run
+from tilth.analysis.workers.dask import (
     Certificates,
     DaskProblem,
     caution,
@@ -27,8 +31,7 @@ from tilth.analysis.sensitivity.dask_batches import (
     on_dask,
     versions,
 )
-from tilth.analysis.sensitivity.designs import DISSERTATION, Uniform
-from tilth.analysis.sensitivity.run_batches import GlobalPlan, here, run
+from tilth.analysis.workers.parts import here
 from tilth.deploy.certificates import new_authority
 from tilth.estimator.models.parameters import TABLE_7_2
 
@@ -176,7 +179,7 @@ def test_with_certificates_and_only_with_those_of_the_authority(
         cluster.work(1)
         assert cluster.address.startswith("tls://127.0.0.1:") and caution(cluster.address) == ""
         found, _ = run(PLAN, tmp_path / "dask", on_dask(cluster.address, mine))
-        monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 3.0)
+        monkeypatch.setattr("tilth.analysis.workers.dask.ANSWER_S", 3.0)
         with pytest.raises(DaskProblem, match="do its certificates and these have one authority"):
             run(PLAN, tmp_path / "stranger", on_dask(cluster.address, stranger))
         with pytest.raises(DaskProblem, match=r"tls://host:8786 needs --dask-tls"):
@@ -210,7 +213,7 @@ def test_what_is_open_is_said(address: str, said: bool) -> None:
 
 
 def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 0.5)
+    monkeypatch.setattr("tilth.analysis.workers.dask.ANSWER_S", 0.5)
     with pytest.raises(DaskProblem, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"):
         run(PLAN, tmp_path, on_dask("tcp://127.0.0.1:1"))
 
@@ -224,7 +227,7 @@ def test_what_is_no_address(address: str, tmp_path: Path) -> None:
 def test_a_scheduler_without_workers(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tilth.analysis.sensitivity.dask_batches.ANSWER_S", 6.0)
+    monkeypatch.setattr("tilth.analysis.workers.dask.ANSWER_S", 6.0)
     with pytest.raises(DaskProblem, match="has no worker"):
         run(PLAN, tmp_path, on_dask(cluster.address))
 
@@ -240,3 +243,26 @@ def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(DaskProblem, match=r"pip install 'tilth\[dask\]'|uv sync .*dask"):
         run(PLAN, tmp_path, on_dask("tcp://127.0.0.1:1"))
+
+
+def test_a_season_gives_the_same_table_as_processes_though_a_worker_dies_and_one_hangs(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyarrow")
+    for k in range(8):
+        write_mcap(tmp_path / f"day{k}.mcap", some_frames(800 + k), run=f"r{k}")
+    logs = sorted(tmp_path.glob("*.mcap"))
+    cluster.work(4)
+
+    def trouble(what: str, done: float, of: float) -> None:
+        if what == "identifying" and 0 < done < of and cluster.workers[0].poll() is None:
+            cluster.workers[0].kill()
+            cluster.workers[1].send_signal(signal.SIGSTOP)
+
+    try:
+        out = tmp_path / "dask"
+        season(logs, out, lambda longest_s: on_dask(cluster.address, hung_s=5.0), progress=trouble)
+    finally:
+        cluster.workers[1].send_signal(signal.SIGCONT)
+    season(logs, tmp_path / "here", lambda longest_s: here(2))
+    assert (out / TABLE).read_bytes() == (tmp_path / "here" / TABLE).read_bytes()

@@ -1,0 +1,187 @@
+"""A season of simulated days: how fast it is identified, and whether the intervals of its stretches hold.
+
+    python bench/season.py make FOLDER [--hours 2] [--minutes 10] [--rigs 2]
+    python bench/season.py run FOLDER [--workers 1 2]
+    python bench/season.py held OUT
+
+`make` writes logs with the rigs' own frames alone into FOLDER, one folder for each rig of the virtual fleet,
+the truth beside each; what is there is not made again. Each day a rig drives rows and headlands on a field in
+patches, on soil that is all day a little softer or firmer than usual. Keep FOLDER outside of the repository.
+
+`run` identifies it anew with so many workers in turn, into a folder that is removed afterwards, and once more
+with nothing to do. `held` counts, of the season OUT that `tilth season FOLDER --out OUT` has made, in how
+many stretches the true value lies within 95 %: of what the stretch tells alone, of what was known by then,
+and of what the whole season says. The truth of a stretch is the mean of the logarithm under each axle over
+its time.
+"""
+
+import argparse
+import csv
+import json
+import math
+import multiprocessing
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.schemas.flow import PARAMETERS
+from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.spread import WITHIN
+from tilth.simulator.fleet import drawn, headlands_of, scenario_of
+from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.scenario import Fieldwork, Ground, Scenario, Soil, as_json
+from tilth.simulator.simulate import SimulationInput, simulate_to
+
+Array = NDArray[np.float64]
+DAY_NS: Final = 86_400_000_000_000
+DAY_SD: Final = 0.15  # of the logarithm of a day's stiffnesses
+FIRST_RIG: Final = 700  # of the fleet; none that constants were chosen on
+
+
+def scenario_for(rig_number: int, day: int, minutes: float) -> Scenario:
+    """Fieldwork of one rig on one day."""
+    rig, rng = drawn(FIRST_RIG + rig_number), np.random.default_rng([56, rig_number, day])
+    plain = scenario_of(
+        rig,
+        Scenario(
+            seconds=60.0 * minutes, speed=float(rng.uniform(2.5, 4.0)), speed_sd=0.1, other_traffic=False,
+            steering=Fieldwork(length=float(rng.uniform(100, 200)), turns=headlands_of(rig)),
+            ground=Ground(slope_deg=float(rng.uniform(0, 3)), roll_sd_deg=0.6, force_sd=0.01, rut=True),
+            soil=Soil(patch_log_sd=0.1, patch_length=40.0), clock_offset_s=0.0,
+            utc_start_ns=Scenario().utc_start_ns + day * DAY_NS,
+        ),
+    )  # fmt: skip
+    factor = math.exp(DAY_SD * float(rng.standard_normal()))
+    usual = plain.soil.parameters
+    assert usual is not None
+    of_day = {name: value * (factor if name.startswith("C_") else 1.0) for name, value in usual.items()}
+    return replace(plain, soil=replace(plain.soil, parameters=of_day))
+
+
+def made(task: tuple[Path, int, int, float]) -> None:
+    """Write one log, unless it is there."""
+    folder, rig_number, day, minutes = task
+    log = folder / f"rig{rig_number}" / f"day{day:03d}.mcap"
+    if log.exists():
+        return
+    log.parent.mkdir(parents=True, exist_ok=True)
+    scenario, rig = scenario_for(rig_number, day, minutes), drawn(FIRST_RIG + rig_number)
+    text = owners_text(rig)
+    source = SimulationInput(
+        parse_machine(text), text, scenario, as_json(scenario), 56_000 + 100 * rig_number + day,
+        scenario.seconds, true_machine(rig),
+    )  # fmt: skip
+    simulate_to(source, log)
+    print(log, flush=True)
+
+
+def make(folder: Path, hours: float, minutes: float, rigs: int, processes: int) -> None:
+    days = round(60.0 * hours / minutes / rigs)
+    tasks = [(folder, rig, day, minutes) for day in range(days) for rig in range(rigs)]
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        pool.map(made, tasks, chunksize=1)
+
+
+def identify(folder: Path, out: Path, workers: int) -> tuple[float, float, float]:
+    """(seconds by the clock, of the processor, MB of the largest process), all processes of the command."""
+    words = ["season", str(folder), "--out", str(out), "--workers", str(workers), "--json"]
+    start = "import sys; from tilth.cli import main; sys.exit(main())"
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run([sys.executable, "-c", start, *words], check=True, stdout=subprocess.DEVNULL)
+    took, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return took, cpu, after.ru_maxrss / 1e3
+
+
+def run(folder: Path, numbers: list[int]) -> None:
+    with tempfile.TemporaryDirectory(dir=folder.parent) as beside:
+        for workers in numbers:
+            out = Path(beside) / f"out{workers}"
+            took, cpu, megabytes = identify(folder, out, workers)
+            hours = json.loads((out / "season.json").read_text())["seconds"] / 3600
+            again, _, _ = identify(folder, out, workers)
+            print(
+                f"{workers} workers: {hours:.2f} h of driving in {took:.0f} s, {cpu:.0f} s of the processor: "
+                f"{3600 * hours / cpu:.1f} × real time a core, {3600 * hours / took:.1f} × by the clock; "
+                f"largest process {megabytes:.0f} MB; once more with nothing to do {again:.1f} s"
+            )
+            shutil.copy(out / "stretches.parquet", Path(beside) / f"{workers}.parquet")
+        tables = {(Path(beside) / f"{workers}.parquet").read_bytes() for workers in numbers}
+        print("the tables are the same bytes" if len(tables) == 1 else "THE TABLES DIFFER")
+
+
+def truth_of(log: Path) -> tuple[Array, Array]:
+    """(t_ns (n,), logarithms of the six under their axles (n, 6))."""
+    with log.with_name(log.name + ".truth.csv").open() as stream:
+        rows = csv.reader(stream)
+        head = next(rows)
+        at = [head.index(name) for name in ("t_ns", *PARAMETERS)]
+        values = [[float(row[k]) for k in at] for k_row, row in enumerate(rows) if k_row % 10 == 0]
+    table = np.array(values)
+    return table[:, 0], np.log(table[:, 1:])
+
+
+def held(out: Path) -> None:
+    import pyarrow.parquet as pq
+
+    rows = [row for row in pq.read_table(out / "stretches.parquet").to_pylist() if row["kind"] == "stretch"]
+    truths: dict[str, tuple[Array, Array]] = {}
+    scores: dict[tuple[str, str], list[float]] = {}
+    for row in rows:
+        if row["status"] != "estimated":
+            continue
+        t_ns, logs = truths.setdefault(row["log"], truth_of(Path(row["log"])))
+        begin = row["begin_ns"]
+        true = logs[(t_ns >= begin) & (t_ns <= begin + 1e9 * row["seconds"])].mean(axis=0)
+        for way in ("alone", "forward", "season"):
+            covariance = np.array(row[f"{way}_log_covariance"]).reshape(6, 6)
+            for k, name in enumerate(PARAMETERS):
+                if row[name] is not None:
+                    off = math.log(row[f"{way}_{name}"]) - true[k]
+                    scores.setdefault((way, name), []).append(off / math.sqrt(covariance[k, k]))
+                    scores.setdefault((f"{way} sd", name), []).append(math.sqrt(covariance[k, k]))
+    print(f"{len(rows)} stretches, {sum(row['status'] == 'estimated' for row in rows)} with numbers")
+    for way in ("alone", "forward", "season"):
+        cells = [
+            f"{name} {100 * np.mean(np.abs(z) <= WITHIN):.0f} % of {len(z)} (median sd "
+            f"{100 * np.median(scores[f'{way} sd', name]):.0f} %)"
+            for name in PARAMETERS
+            if (z := np.array(scores.get((way, name), []))).size
+        ]
+        every = np.concatenate([np.array(scores.get((way, name), [])) for name in PARAMETERS])
+        print(f"{way}: {100 * np.mean(np.abs(every) <= WITHIN):.1f} % of {len(every)}; " + ", ".join(cells))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    ways = parser.add_subparsers(dest="what", required=True)
+    making = ways.add_parser("make")
+    making.add_argument("folder", type=Path)
+    making.add_argument("--hours", type=float, default=2.0)
+    making.add_argument("--minutes", type=float, default=10.0, help="of a day")
+    making.add_argument("--rigs", type=int, default=2)
+    making.add_argument("--processes", type=int, default=1)
+    running = ways.add_parser("run")
+    running.add_argument("folder", type=Path)
+    running.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    ways.add_parser("held").add_argument("out", type=Path)
+    args = parser.parse_args()
+    if args.what == "make":
+        make(args.folder, args.hours, args.minutes, args.rigs, args.processes)
+    elif args.what == "run":
+        run(args.folder, args.workers)
+    else:
+        held(args.out)
+
+
+if __name__ == "__main__":
+    main()

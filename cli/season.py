@@ -1,0 +1,88 @@
+"""`tilth season`: many days of logs, of several machines, identified and put together."""
+
+import argparse
+import json
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+from tilth.analysis.season.season import SUMMARY, Season, SeasonProblem, finish, season
+from tilth.analysis.season.table import NoParquet, require_parquet
+from tilth.analysis.workers.dask import HUNG_S
+from tilth.analysis.workers.parts import LostPart, Parts
+from tilth.cli import WrongUse, say
+from tilth.cli.log_errors import log_errors
+from tilth.cli.log_options import add_machine, given_machine
+from tilth.cli.parts_options import add_parts, parts_of
+from tilth.cli.progress_bar import bars
+from tilth.schemas.invocation import command
+
+_say = partial(say, "season")
+
+
+def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    parser = subparsers.add_parser(
+        "season",
+        help="identify many days of logs, and put them together",
+        description="Look through folders and sticks of logs, identify each run, put the runs of each "
+        "tractor with its implement together in the order of their driving, and write a table of all "
+        "stretches (DIR/stretches.parquet) and a summary (DIR/season.html). What is done is not done again; "
+        "the logs are only read.",
+    )
+    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs, and folders of logs")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the season's folder")
+    parser.add_argument("--retry", action="store_true", help="runs that have failed once more")
+    add_machine(parser, "of logs that hold none")
+    add_parts(parser)
+    parser.add_argument("--json", action="store_true", help="what came of it as one JSON object to stdout")
+
+
+def run(args: argparse.Namespace) -> int:
+    """1 where a run failed, or could not be kept."""
+    try:
+        require_parquet()
+    except NoParquet as error:
+        raise WrongUse(str(error)) from None
+    if args.out.exists() and not args.out.is_dir():
+        raise WrongUse(f"--out {args.out}: is a file; give a folder, new or of the same season")
+    for path in args.logs:
+        if not path.exists():
+            raise WrongUse(f"{path}: is not there; give logs, or folders of logs")
+    with log_errors(args.out, "what was finished is kept; give the same command again"):
+        try:
+            with ExitStack() as stack:
+                made = season(
+                    args.logs, args.out, partial(_parts, args), machine=given_machine(args),
+                    retry=args.retry, progress=bars(stack),
+                )  # fmt: skip
+        except (SeasonProblem, LostPart) as error:
+            raise WrongUse(str(error)) from None
+        if made.rows is not None:
+            from tilth.analysis.season.page import write_summary  # matplotlib takes a second
+
+            write_summary(made, command("season", *map(str, args.logs), "--out", str(args.out)))
+            finish(made)
+    return _tell(made, args.json)
+
+
+def _parts(args: argparse.Namespace, longest_s: float) -> Parts:
+    """A worker that has not done a run in the time that it took to drive it hangs."""
+    return parts_of(args, _say, max(HUNG_S, longest_s))
+
+
+def _tell(made: Season, as_json: bool) -> int:
+    done = made.done
+    if as_json:
+        print(json.dumps({**done, "out": str(made.out), "table": str(made.table), "computed": made.computed}))
+    what = f"{done['runs']} runs, {done['rows']} rows"
+    if made.rows is None:
+        _say(f"nothing to do: {what} in {made.table}")
+    else:
+        _say(f"{what} in {made.table}, {made.computed} runs identified now; {made.out / SUMMARY} tells")
+    if made.inventory.left_out:
+        _say(f"{len(made.inventory.left_out)} files are not used; {SUMMARY} says why")
+    if done["failed"]:
+        _say(f"{done['failed']} runs failed; {SUMMARY} says why, --retry tries them again")
+    if made.not_kept:
+        _say(f"{made.not_kept}: what came of some runs could not be kept; make room")
+    return int(bool(done["failed"] or made.not_kept))
