@@ -5,7 +5,7 @@ The tracker itself is a method (methods/open_tracker.py); the fold hands its evi
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,8 @@ BY_FIT: Final = np.array([row.fit_sd > 0.0 for row in HYPOTHESES])
 """[n + 1]: of HYPOTHESES, of which a fit is believed."""
 
 
-class Misfit(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Misfit:
     """Difference between what the open tracker finds and the file. Arrays by OPEN or HYPOTHESES."""
 
     total: float  # chi-square of all open numbers, len(NAMES) degrees of freedom

@@ -1,5 +1,6 @@
 """What a machine file may still be wrong by makes the published numbers as much wider, or withholds them."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -13,7 +14,9 @@ from tilth.estimator.diagnosis import consistency, open_numbers
 from tilth.estimator.diagnosis.consistency import CONSISTENCY, Consistency
 from tilth.estimator.diagnosis.open_numbers import HYPOTHESES, NAMES, OPEN, OpenEvidence
 from tilth.estimator.diagnosis.widening import WIDENING, OfSoil, Widening, widened, widening_of
+from tilth.estimator.methods import rows
 from tilth.estimator.rig.numbers import NUMBER
+from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.flow import PARAMETERS, Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Combination, Reason
 from tilth.schemas.sentences import sentence
@@ -274,3 +277,15 @@ def test_soil_that_may_be_otherwise_here_widens(own: float, soil: float, code: C
     assert one.parameters[3:] == said.parameters[3:]
     logs = np.reshape(one.log_covariance, (6, 6)) - np.reshape(said.log_covariance, (6, 6))
     assert logs == pytest.approx(covariance)
+
+
+def test_what_a_fit_tells_of_the_file_is_itself_again_as_it_is_read_back() -> None:
+    """A fit is used as it is read back from its text: a tuple with names came back as a list, and the
+    estimators stopped with the first fit of rows that told of the file."""
+    told = evidence({"e": 1.0}, {"e": 1.0}, 0.5).misfit
+    six, n = np.zeros(6), np.eye(6)
+    made = rows.Fit(six, n, 0.9, 0.01, 120.0, 5, 1.0, False, False, None, None, told)
+    again = from_json_data(rows.Fit, json.loads(json.dumps(to_json_data(made))))
+    found = rows.tells_of_file(again)
+    assert found is not None and found[1] == 120.0
+    assert found[0].by_name == pytest.approx(told.by_name)
