@@ -265,7 +265,7 @@ def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterat
         yield Line(f"{method}, {where}", "no number was given")
         return
     shares = np.nanmean(held, axis=0)
-    judged = method == "place"
+    judged = method != "pem" and method != ORACLE
     cells_given = int(np.isfinite(held).any(axis=1).sum())
     yield Line(
         f"{method}, {where}: 95 % intervals hold, {cells_given} stretches", percents(shares, 0), "≥ 92 %",

@@ -8,10 +8,11 @@ Drive k is of rig k of simulator/fleet.py, whose owner's file the fit is given; 
 and roughness of the ground go round by `cell_of`. The bound and the own share are those of the true drive
 (studies/rows/bound.py, own_share.py). What is done is kept, a line each, and not done again.
 
-Two rows go on from there. `hours` drives blocks of ten minutes, each on other ground, until --minutes are
-over, and each is fitted from the posterior of the one before, as the daemon does. `held_out` drives 30 s of
-another row and of a headland turn, and follows the implement's way from the true start with what was fitted,
-with the true parameters, and with those of the file.
+Three rows go on from there. `hours` drives blocks of ten minutes, each on other ground, until --minutes are
+over, and each is fitted from the posterior of the one before, as the daemon does; in `ten_hours` the row that
+was driven stands for all blocks (row_hours.py). `held_out` drives 30 s of another row and of a headland turn,
+and follows the implement's way from the true start with what was fitted, with the true parameters, and with
+those of the file.
 
 z is an error over its sd, both of natural logarithms. An sd more than 10 % below the bound is a fault. Of
 each drive: error (sd, bound) of the six in %, rms of the wheel angle and of what is the steering's own in it,
@@ -42,6 +43,7 @@ from estimation_table import (
 )
 from held_out import Way, distances
 from numpy.typing import NDArray
+from row_hours import hours_lines, in_pieces, of_block
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
@@ -50,7 +52,6 @@ from studies.rows.own_share import own_of
 from studies.rows.study import longest
 from tilth.analysis.fit.rig import fitted_rig
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, concatenate
 from tilth.estimator.results.method_state import drifted
@@ -79,6 +80,8 @@ REACH_TEXT: Final = (
 )
 HELD_OUT: Final = "held_out"
 HOURS: Final = "hours"
+PIECES: Final = "ten_hours"
+TEN_HOURS: Final = 60  # blocks
 MAKES: Final[tuple[Literal["pid", "valve", "pursuit"], ...]] = ("pid", "valve", "pursuit")
 PLANTS: Final[tuple[Literal["planar", "spatial"], ...]] = ("planar", "spatial")
 GROUNDS: Final = (0.005, 0.010, 0.015)  # m, rms
@@ -122,6 +125,7 @@ ROWS: Final[dict[str, Change]] = {
     "nothing_own": lambda k, scenario: _steered(scenario, own=0.0),
     "held_out": lambda k, scenario: scenario,  # after which what was found is tried
     "hours": lambda k, scenario: scenario,
+    "ten_hours": lambda k, scenario: scenario,  # after which it stands for all blocks of them
     "limit_cycle": lambda k, scenario: _steered(scenario, make="valve", own=0.0, slack_deg=0.1),
     "dither": lambda k, scenario: _steered(scenario, own=0.0, dither_deg=0.3),
 }
@@ -132,6 +136,7 @@ class Fit(NamedTuple):
     """What a method says of a row."""
 
     mean: Array  # (n,), of unknowns.NAMES
+    covariance: Array  # (n, n), without errors of the model
     sd: Array  # (6,)
     own_share: float
     refused: str | None  # why the method would not use it
@@ -142,7 +147,7 @@ def fit(machine: Machine, records: list[Record]) -> Fit:
     state = rows.initial(machine)
     found = rows.fit(machine, rows.Job(0, records[-1].end_ns, records, False, state.mean, state.covariance))
     sd = np.sqrt(np.diag(found.covariance)[:6] + state.model_sd**2)
-    return Fit(found.mean, sd, found.own_share, found.refused)
+    return Fit(found.mean, found.covariance, sd, found.own_share, found.refused)
 
 
 # One drive.
@@ -188,6 +193,9 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
     count, every = (round(s / SEGMENT_S) for s in (SHORT_S[0], sum(SHORT_S)))
     short = [usable[k : k + count] for k in range(0, len(usable) - count + 1, every)]
     said = fit(file, [concatenate(each) for each in (short if row == "short" else [usable])])
+    if row == PIECES:
+        times, metres = BLOCK_MINUTES / minutes, rig.speed * 60.0 * BLOCK_MINUTES
+        result["blocks"] = in_pieces(file, said.covariance, times, metres, TEN_HOURS, number)
     if row == HELD_OUT:
         result |= {"ways": ways_on(rig, asked, file, said.mean)}
     return result | {
@@ -204,7 +212,8 @@ def follow(row: str, first: int, minutes: float, k: int) -> Result:
 
 def ways_on(rig: FleetRig, row: Scenario, file: Machine, found: Array) -> dict[str, list[float]]:
     """rms distance of the implement from its true way, m, over WAY_S of another row and of a headland turn:
-    with what was found, (n,) of unknowns.NAMES, with what is true, and with what the file says."""
+    with the six that were found, those that are true, and those that the file says, all else as it is. found:
+    (n,) of unknowns.NAMES."""
     machine, way = true_machine(rig), {}
     field = Fieldwork(length=40.0, turns=headlands_of(rig), position_sd=0.008, autosteer=Autosteer("pid"))
     for name, steering, seconds in (("row", row.steering, 2 * WAY_S), ("turn", field, 4 * WAY_S)):
@@ -218,13 +227,11 @@ def ways_on(rig: FleetRig, row: Scenario, file: Machine, found: Array) -> dict[s
         parts = [concatenate(usable[k : k + count]) for k in range(0, len(usable) - count + 1, 10)]
         record = max(parts, key=lambda part: float(np.ptp(part.ticks[:, WHEEL_ANGLE])))
         true, at_s = Way(truth.time, truth.states, truth.rig), run.seconds_of(record.t_ns)
-        zero, prior = truth.nuisances["wheel_zero"], unknowns.prior(file)[0]
-        rigs = [
-            (fitted_rig(file, found), float(np.exp(found[AT["wheel_gain"]]))),
-            (truth.rig, truth.nuisances["wheel_gain"]),
-            (fitted_rig(file, prior), 1.0),
-        ]
-        way[name] = [distances(true, record, at_s, by, (zero, gain), level=True)[1] for by, gain in rigs]
+        wheel = truth.nuisances["wheel_zero"], truth.nuisances["wheel_gain"]
+        made = [fitted_rig(file, point) for point in (found, unknowns.prior(file)[0])]
+        by_six = [truth.rig._replace(**{name: getattr(one, name) for name in PARAMETERS}) for one in made]
+        rigs = by_six[0], truth.rig, by_six[1]
+        way[name] = [distances(true, record, at_s, one, wheel, level=True)[1] for one in rigs]
     return way
 
 
@@ -256,11 +263,9 @@ def follow_hours(first: int, minutes: float, k: int) -> Result:
         state.job = rows.Job(0, record.end_ns, [record], True, state.before_mean.copy(), known)
         made = rows.fit(file, state.job)
         rows.adopt(state, file, made, record.end_ns)
-        sd = np.sqrt(np.diag(rows.published_covariance(state)))
-        out.append({
-            "error": (state.mean[:6] - run.logs).tolist(), "sd": sd.tolist(),
-            "bound": together(bounds).tolist(), "refused": made.refused, "changed": made.changed,
-        })  # fmt: skip
+        sd, least = np.sqrt(np.diag(rows.published_covariance(state))), together(bounds)
+        refused = made.refused and made.refused.value
+        out.append(of_block(state.mean[:6] - run.logs, sd, least, refused, made.changed))
     return result | {"blocks": out, "made_s": time.perf_counter() - began}
 
 
@@ -280,6 +285,8 @@ def row(name: str, first: int, bench: Bench) -> list[Line]:
         return hours_lines(made)
     run = partial(follow, name, first, bench.scale)
     made = bench.each(run, 12, have, partial(spatial_rows.keep, bench))
+    if name == PIECES:
+        return hours_lines(made)
     return lines_of(made, {} if name == "usual" else usual)
 
 
@@ -361,33 +368,6 @@ def _ways(made: Sequence[Result]) -> Iterator[Line]:
                 f"over the true ones' {found / true:.2f}, median {over:.2f}; file's {told / true:.2f}",
                 "≤ 1.15", found <= 1.15 * true, (found, true, told),
             )  # fmt: skip
-
-
-def hours_lines(made: Sequence[Result]) -> list[Line]:
-    driven = [one["blocks"] for one in made if "blocks" in one]
-    used = [blocks for blocks in driven if not all(block["refused"] for block in blocks)]
-    lines = [
-        Line("could not be driven", f"rigs {[one['rig'] for one in made if 'blocks' not in one]}"),
-        Line("withheld", f"{len(driven) - len(used)} of {len(driven)}"),
-    ]
-    if not used:
-        return lines
-    for name, at in (("first block", 0), ("half of them", len(used[0]) // 2), ("end", -1)):
-        error, sd, bound = (_array([blocks[at] for blocks in used], key) for key in ("error", "sd", "bound"))
-        z, least = error / sd, np.maximum(1.3 * np.hypot(bound, rows.TUNING.model_sd), 0.03)
-        sizes = "; ".join(
-            percents(np.median(np.abs(each), axis=0).tolist(), 0) for each in (error, sd, bound)
-        )
-        lines.append(Line(
-            name,
-            f"{int(np.sum(np.abs(z) < Z))} of {z.size} hold, z {np.mean(z):+.2f} ± {np.std(z):.2f}, largest "
-            f"{np.abs(z).max():.1f}; |error|, sd, bound: {sizes}; sd over its limit {np.max(sd / least):.2f}",
-            "92 %; sd ≤ 1.3 times bound with the model's part, or 3 %",
-            bool(np.mean(np.abs(z) < Z) >= REACH[0] and np.all(sd <= least)), (float(np.mean(z)),),
-        ))  # fmt: skip
-    changes = sum(block["changed"] for blocks in used for block in blocks)
-    figure = f"{changes} in {sum(map(len, used))} blocks"
-    return [*lines, Line("false changes of soil", figure, "0", changes == 0, (changes,))]
 
 
 def _drives(made: Sequence[Result]) -> Iterator[Line]:

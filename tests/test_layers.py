@@ -1,12 +1,13 @@
 """The straight line of layers, and what the two inner ones must not know."""
 
 import ast
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
 import pytest
-from paths import ROOT
+from paths import ROOT, SUPPORT
 
 from tilth.deploy.imports import Arrows, arrows, circle, sources
 
@@ -229,3 +230,9 @@ def test_functions_are_short() -> None:
         and (node.end_lineno or 0) - node.lineno >= LONGEST_FUNCTION
     ]
     assert long == []
+
+
+def test_whoever_gives_tests_a_marker_is_known() -> None:
+    """A run of one marker reads only the files that name it, or call `sampled` (`tests/conftest.py`)."""
+    own = re.compile(r"pytest\.mark\.(?!skipif|parametrize|usefixtures)")
+    assert {path.name for path in SUPPORT.glob("*.py") if own.search(path.read_text())} == {"sampled.py"}

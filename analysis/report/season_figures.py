@@ -16,6 +16,7 @@ from tilth.analysis.report.figure_look import (
     VERMILLION,
     WIDTH,
     panels,
+    plain_ticks,
 )
 from tilth.analysis.report.wording import SYMBOLS
 from tilth.schemas.spread import scale_of, unit_of
@@ -59,8 +60,7 @@ def soils(data: Mapping[str, Any]) -> Figure:
         panel.vlines(at, low, high, color=QUIET, linewidth=0.8)
         panel.plot(at, value, ".", color=BLUE, markersize=3)
         panel.set_yscale("log")
-        panel.yaxis.set_major_formatter("{x:g}")
-        panel.yaxis.set_minor_formatter("{x:g}")
+        plain_ticks(panel.yaxis)
         panel.set_ylabel(f"{SYMBOLS[name]}, {unit_of(name)}")
         for first in data["days"]:
             panel.axvline(first["at"] - 0.5, color=QUIET, linewidth=0.3)

@@ -90,11 +90,14 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
         np.array(means), np.array(covariances),
         [step.transition for step in moved], [step.noise for step in moved],
     )  # fmt: skip
-    last = model_sds[-1]
+    smooth_sds = [model_sds[-1]]
+    for k in range(len(stretches) - 2, -1, -1):  # of what came before, and of what came after
+        before, after = _spread(covariances[k], free), _spread(smooth[1][k], free)
+        smooth_sds.insert(0, fit_covariance.mixed(model_sds[k], smooth_sds[0], before, after))
     return [
-        MergedStretch(by_it, known(m, p, e), known(sm, sp, np.maximum(e, last)))
-        for by_it, m, p, e, sm, sp in zip(
-            alone, means, covariances, model_sds, smooth[0], smooth[1], strict=True
+        MergedStretch(by_it, known(m, p, e), known(sm, sp, se))
+        for by_it, m, p, e, sm, sp, se in zip(
+            alone, means, covariances, model_sds, smooth[0], smooth[1], smooth_sds, strict=True
         )
     ]
 

@@ -40,6 +40,7 @@ from tilth.schemas.spread import interval
 
 NUMBERS: Final = "summary.json"
 STIFFNESSES: Final = PARAMETERS[:3]
+WHICH: Final = ("run", "machine", "day")
 MB: Final = 1e6
 
 
@@ -206,14 +207,16 @@ def _soils(rows: Sequence[SeasonRow]) -> Iterator[ReportSection]:
         yield ReportSection(f"soil-{number_of}", f"Soils: {_name(rig)}", (figure,))
 
 
+def _which(one: DrivenRun) -> tuple[ReportCell, ...]:
+    """A run among all, under WHICH."""
+    machine = one.rig.machine if one.rig is not None else NOTHING
+    return ReportCell(one.run.name), ReportCell(machine), ReportCell(_day(one.begins_ns))
+
+
 def _look(made: Season, runs: Sequence[DrivenRun]) -> ReportSection:
-    rows = [
-        (ReportCell(one.run.name), ReportCell(_day(one.begins_ns)), ReportCell(". ".join(one.look)))
-        for one in runs
-        if one.look
-    ]
+    rows = [(*_which(one), ReportCell(". ".join(one.look))) for one in runs if one.look]
     parts: list[Part] = [
-        ReportTable("look", "Runs that deserve a look, and why.", ("run", "day", "why"), tuple(rows))
+        ReportTable("look", "Runs that deserve a look, and why.", (*WHICH, "why"), tuple(rows))
         if rows
         else ReportText("No run deserves a look.")
     ]
@@ -229,14 +232,13 @@ def _disk(made: Season, runs: Sequence[DrivenRun]) -> ReportSection:
         size, cpu = one.run.size, one.found.cpu_s
         fast = one.seconds / cpu if cpu else math.nan
         rows.append((
-            ReportCell(one.run.name),
-            ReportCell(_day(one.begins_ns)),
+            *_which(one),
             ReportCell(seconds(one.seconds), one.seconds),
             ReportCell(f"{size / MB:.1f}", size),
             ReportCell(str(len(one.found.stretches)), len(one.found.stretches)),
             ReportCell(number(fast, 2), fast if math.isfinite(fast) else None),
         ))  # fmt: skip
-    columns = ("run", "day", "length", "MB", "stretches", "times real time, a core")
+    columns = (*WHICH, "length", "MB", "stretches", "times real time, a core")
     size, hours = sum(one.run.size for one in runs), sum(one.seconds for one in runs) / 3600
     per_hour = f", {size / MB / hours:.0f} MB an hour" if hours else ""
     text = f"The logs are {size / MB:.0f} MB for {hours:.2f} h{per_hour}."

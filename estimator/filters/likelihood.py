@@ -66,7 +66,6 @@ LIKELIHOOD: Final = LikelihoodTuning()
 
 NOTHING: Final = np.zeros(0, dtype=np.int64)  # no unknowns
 NO_READINGS: Final = np.zeros((0, 0))
-NO_STEPS: Final = np.zeros(0)
 NO_POINTS: Final = np.zeros((0, len(NAMES)))
 NOWHERE: Final = np.full(len(NAMES), np.inf)
 
@@ -240,7 +239,7 @@ def evaluate(
     readings = np.zeros((len(instruments), len(places)))
     readings[:, responding] = instruments
     noise_point = NOWHERE if before is None else before.noise_point
-    steps, nearby = _levels_nearby(search, point, noise_point) if levels else (NO_STEPS, NO_POINTS)
+    steps, nearby = _levels_nearby(search, point, noise_point) if levels else (np.zeros(0), NO_POINTS)
     made = _run(search, point, places, instruments=readings, responding=responding, nearby=nearby)
     cost, none = _cost(search, point, made.e, made.S), np.zeros((len(search.active), len(made.e)))
     de, dS = (none, none.copy()) if before is None else (before.de.copy(), before.dS.copy())
@@ -259,7 +258,7 @@ def _levels_nearby(search: Search, point: Array, noise_point: Array) -> tuple[Ar
     nearby."""
     levels = search.active[~search.of_motion]
     if len(levels) == 0 or float(np.max(np.abs(point - noise_point)[levels])) < LIKELIHOOD.noise_trust:
-        return NO_STEPS, NO_POINTS
+        return np.zeros(0), NO_POINTS
     steps = np.minimum(LIKELIHOOD.difference_step * search.prior_sd[~search.of_motion], LIKELIHOOD.step_limit)
     nearby = np.tile(point, (len(levels), 1))
     nearby[np.arange(len(levels)), levels] += steps

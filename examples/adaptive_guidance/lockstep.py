@@ -100,16 +100,17 @@ def run(
     limits: Limits = LIMITS,
     known: Collection[str] = PARAMETERS,
     estimates: TimedEstimates | None = None,
+    slack_s: float = 3.0,
 ) -> tuple[Plan, Truth, RunTrace]:
     """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing.
 
-    known: what of the parameters who knows does know; he takes the rest for nominal. told: what is said to
-    who adapts, instead of what the fold finds.
+    known: what of the parameters who knows does know; he takes the rest for nominal. estimates: what is
+    said to who adapts, instead of what the fold finds. slack_s: longer than the plan; who strays needs more.
     """
     nominal = rig_of(machine)
     line = plan(work, nominal)
     assert isinstance(scenario.speed, float)
-    seconds = len(line.row) * STEP / scenario.speed + 3.0
+    seconds = len(line.row) * STEP / scenario.speed + slack_s
     scenario = replace(scenario, clock_offset_s=0.0, other_traffic=False)
     loops: list[Loop] = []
     drivers: list[LiveDriver] = []

@@ -1,6 +1,7 @@
 """The design on the virtual fleet: balance, table, a drive; and the rigs that other benches take of it."""
 
 import json
+import math
 from collections import Counter
 from pathlib import Path
 
@@ -151,3 +152,16 @@ def test_the_right_file_of_a_calibrated_rig_of_the_fleet_is_exact() -> None:
     assert machine.tractor.a.value == pytest.approx(drawn(3).tractor.a, abs=1e-4)
     assert machine.machine.name == "fleet-3"
     assert calibration.right_file("planar", 3) == calibration.packaged()
+
+
+@pytest.mark.parametrize(
+    ("sds", "given"),
+    [
+        ((0.2, 0.2, 0.3, math.nan), True), ((0.2, 0.2, 0.4, 0.3), True), ((0.2, 0.2, math.nan, 0.31), False),
+        ((0.31, 0.2, 0.2, 0.2), False), ((0.2, math.nan, 0.2, 0.2), False),
+    ],
+)  # fmt: skip
+def test_numbers_are_there_with_c_ai_or_with_c_ai_over_the_mass(sds: tuple[float, ...], given: bool) -> None:
+    rows = np.zeros((2, 14))
+    rows[:, 0], rows[1, [7, 8, 9, 13]] = (0.0, 10.0), sds
+    assert fleet._given(rows, 10.0) == given and not fleet._given(rows, -1.0)

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import row_hours
 import rows
+from circle import demo_machine
 from estimation_table import Bench
 
+from tilth.estimator.methods import rows as methods_rows
 from tilth.simulator.scenario import RowSteering
 
 
@@ -25,7 +28,7 @@ def test_eighteen_drives_are_all_cells_once() -> None:
 def test_a_row_differs_from_the_usual_one_in_what_it_is_about(row: str) -> None:
     rig, usual = rows.scenario_for("usual", 4, 2.0)
     same, other = rows.scenario_for(row, 4, 2.0)
-    assert same == rig and (other == usual) is (row in ("usual", "short", "held_out", "hours"))
+    assert same == rig and (other == usual) is (row in ("usual", "short", "held_out", "hours", "ten_hours"))
     assert isinstance(other.steering, RowSteering) and isinstance(usual.steering, RowSteering)
     given = replace(other, steering=usual.steering, ground=usual.ground, wheel=usual.wheel)  # nothing else
     assert given == usual
@@ -82,9 +85,24 @@ def test_hours_are_judged_at_their_end_and_by_changes_of_soil_that_were_none(
 ) -> None:
     block = {"error": [z * sd] * 6, "sd": [sd] * 6, "bound": [0.02] * 6, "refused": None, "changed": changed}
     made = [{"rig": k, "blocks": [block] * 4} for k in range(6)]
-    lines = {line.figure: line for line in rows.hours_lines(made)}
+    lines = {line.figure: line for line in row_hours.hours_lines(made)}
     assert [lines["end"].held, lines["false changes of soil"].held] == held
     assert lines["withheld"].reached == "0 of 6"
+
+
+def test_hours_of_what_one_row_told_hold_and_change_nothing() -> None:
+    machine = demo_machine()
+    state = methods_rows.initial(machine)
+    row = state.covariance.copy()
+    row[:6, :6] *= 0.2**2
+    made: list[dict[str, Any]] = [
+        {"rig": k, "blocks": row_hours.in_pieces(machine, row, 5.0, 2400.0, 20, k)} for k in range(20)
+    ]
+    z = np.array([np.divide(one["blocks"][-1]["error"], one["blocks"][-1]["sd"]) for one in made])
+    assert np.mean(np.abs(z) < 1.96) > 0.88 and 0.7 < np.std(z) < 1.3
+    assert not any(block["changed"] for one in made for block in one["blocks"])
+    first, last = (np.array(made[0]["blocks"][at]["sd"]) for at in (0, -1))
+    assert np.all(last < first) and np.all(last > made[0]["blocks"][-1]["bound"])
 
 
 def test_a_drive_that_could_not_be_driven_is_named() -> None:
@@ -95,7 +113,7 @@ def test_a_drive_that_could_not_be_driven_is_named() -> None:
 
 def test_a_drive_is_followed_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(runs=1, scale=0.3, kept=tmp_path / "kept.jsonl")
-    said = rows.Fit(np.zeros(6), np.ones(6), 0.5, None)
+    said = rows.Fit(np.zeros(6), np.eye(6), np.ones(6), 0.5, None)
     monkeypatch.setattr(rows, "fit", lambda machine, record: said)  # a fit is minutes of this test's time
     lines = rows.row("usual", 0, bench)
     made = json.loads((tmp_path / "kept.jsonl").read_text())

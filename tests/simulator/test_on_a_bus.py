@@ -78,7 +78,7 @@ def test_another_process_understands_what_is_sent(machine: Machine) -> None:
     wheel = compile_sensor(machine).can_id
     angles = [[f.data for f in rows if f.can_id == wheel] for rows in (received, wanted)]
     assert angles[0] == angles[1] and len(angles[0]) > 200
-    assert (received[-1].t_ns - received[0].t_ns) * 1e-9 > 2.0  # in real time
+    assert (received[-1].t_ns - received[0].t_ns) * 1e-9 > 1.0  # in real time, if late
 
 
 FIX = frames_of(129025, encode(129025, {"latitude_deg": 47.0, "longitude_deg": 8.0}), 99)[0]

@@ -3,7 +3,7 @@
 import os
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -104,9 +104,8 @@ def test_a_folder_that_cannot_be_read_has_a_reason(tmp_path: Path, monkeypatch: 
     (tmp_path / "locked").mkdir()
     walk = os.walk
 
-    def refused(top: Path, onerror: object) -> object:
+    def refused(top: Path, onerror: Callable[[OSError], object]) -> Iterator[object]:
         yield from walk(top, onerror=onerror)
-        assert callable(onerror)
         onerror(PermissionError(13, "Permission denied", str(tmp_path / "locked")))
 
     monkeypatch.setattr(os, "walk", refused)

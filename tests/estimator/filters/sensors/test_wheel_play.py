@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tilth.estimator.filters.sensors.wheel_play import flanks
 from tilth.estimator.filters.states import DT
@@ -29,8 +30,8 @@ def test_a_linkage_that_rests_crosses_just_before_it_moves_again(rest_s: float) 
 
 @given(st.lists(st.floats(-0.1, 0.1), min_size=1, max_size=300), st.floats(-0.5, 0.5))
 def test_any_readings_have_flanks_that_no_zero_changes(values: list[float], zero: float) -> None:
-    readings = np.round(np.array(values), 4)
+    readings: NDArray[np.float64] = np.rint(1e4 * np.array(values, np.float64)) / 1e4
     found = flanks(readings)
     assert found.shape == readings.shape and np.all(np.abs(found) <= 1.0)
     np.testing.assert_allclose(flanks(-readings), -found, atol=1e-12)
-    assert not flanks(np.full(len(values), zero)).any()
+    assert not flanks(np.full(len(values), zero, np.float64)).any()
