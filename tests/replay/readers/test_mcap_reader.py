@@ -1,5 +1,6 @@
 """MCAP logs: what was logged comes back in file order, as far as a cut or damaged file is whole."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,12 @@ from hypothesis import strategies as st
 from logs import MACHINE, MACHINE_TEXT, chunk_ends, drained, messages, some_frames, write_mcap, write_with_can
 from mcap.writer import CompressionType, Writer
 
+from tilth.logger.log.mcap_file import MESSAGE
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.replay.readers.any_log import frames, metadata, open_log
-from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged
+from tilth.replay.readers.log import EmptyLog, ForeignLog, Logged, OpenLog
+from tilth.replay.readers.mcap_reader import Channels
+from tilth.schemas.flow import Frame
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto.tilth_pb2 import CanFrame, Snapshot
 
@@ -152,3 +156,31 @@ def test_an_mcap_of_something_else(tmp_path: Path) -> None:
         writer.finish()
     with pytest.raises(ForeignLog, match="/can/<bus>"):
         list(frames(path))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 2**63 - 1), st.sampled_from([0, 5, 0x7FF, 0x09F80223, 0x18FF0B15]), st.booleans(),
+            st.booleans(), st.sampled_from([b"", b"\x2a\x08", bytes(8), b"12345678", bytes(range(20))]),
+            st.booleans(),
+        ), max_size=30,
+    )
+)  # fmt: skip
+def test_a_frame_is_read_as_protobuf_reads_it(drawn: list[tuple[int, int, bool, bool, bytes, bool]]) -> None:
+    """Also where another writer has put the time behind the rest, or left it out."""
+    bodies = []
+    for rx_ns, can_id, extended, error, data, turned in drawn:
+        rest = CanFrame(can_id=can_id, extended=extended, error=error, data=data).SerializeToString()
+        time = CanFrame(rx_ns=rx_ns).SerializeToString()
+        bodies.append(rest + time if turned else time + rest)
+    heads = [MESSAGE.pack(5, len(body) + 22, 1, 0, 7, 7) for body in bodies]
+    channels = Channels(OpenLog(Path("log"), "MCAP", BytesIO(), 0))
+    channels.buses[1] = "can0"
+    read = channels.records(b"".join(map(bytes.__add__, heads, bodies)))
+    wanted = [
+        Frame(7, raw.rx_ns, "can0", raw.can_id, raw.extended, raw.error, raw.data)
+        for raw in map(CanFrame.FromString, bodies)
+    ]
+    assert read == wanted
