@@ -1,5 +1,6 @@
 """The receivers' samples between two poses, each used once, as rows of a record."""
 
+import dataclasses
 from collections import deque
 from dataclasses import field
 from typing import Final
@@ -16,7 +17,7 @@ from tilth.schemas.reasons import Code
 from tilth.schemas.values import dataclass
 
 
-@dataclass(frozen=True, slots=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class MeasuredRowsTuning:
     """Which measurements are in time for a segment."""
 

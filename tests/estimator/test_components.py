@@ -29,7 +29,7 @@ UNITS = COUNTED | {
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
     # layouts of arrays, and codes; no limit
     "filters/gates": ("UNLIMITED",),
-    "filters/likelihood": ("NOTHING", "NO_READINGS", "NO_STEPS"),
+    "filters/likelihood": ("NOTHING", "NO_READINGS"),
     "filters/row_fit": ("OF_BODIES",),
     "filters/soil_change": ("DIRECTIONS",),
     "filters/straight_driving": ("NOBODY", "PLACES"),
@@ -37,7 +37,9 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "filters/two_step_fit": ("OUTPUT_STATES", "PREDICTOR_STATES"),
     "models/nonlinear": ("DYNAMIC",),
     "models/rolling_terms": ("SPEEDS",),
+    "pose/latency": ("_DIFFERENCES",),
     "pose/pose": ("BODIES",),
+    "pose/screen": ("STILL",),
     "record/measured_rows": ("_HEADING", "_POSITION", "_ROLL", "_VELOCITY", "_YAW_RATE"),
     "record/record": (
         "EAST", "HEADING", "KIND", "NORTH", "OFFSET", "PLACE", "PSI", "R", "ROLL", "ROLL_ANGLE", "SD", "TICK",
