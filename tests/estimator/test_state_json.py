@@ -1,7 +1,7 @@
 """State as plain data and back, to the last bit."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_what_rows_tell_of_the_file_comes_back_as_what_it_was() -> None:
     made = rows.Fit(np.zeros(6), np.eye(6), 0.9, 0.01, 120.0, 4, 1.0, False, False, None, None, told)
     back = from_json_data(rows.Fit, json.loads(json.dumps(to_json_data(made))))
     assert isinstance(back.of_file, Misfit)
-    for one, other in zip(back.of_file, told, strict=True):
+    for one, other in zip(astuple(back.of_file), astuple(told), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
