@@ -358,11 +358,11 @@ def test_where_it_may_have_diverged_what_the_open_tracker_finds_accuses_no_file(
     n, poses = len(open_numbers.HYPOTHESES), 0
     tenth, ones = np.full(n, 0.1), np.ones(n)
     far = open_numbers.Misfit(1e3, ones[1:], tenth[1:], ones, tenth, np.ones((6, n)))
-    near = far._replace(total=0.0, off=0.0 * ones[1:], found=0.0 * ones)
+    near = replace(far, total=0.0, off=0.0 * ones[1:], found=0.0 * ones)
 
     checks, accused = state.diagnosis.consistency, list[str]()
     checks.confirmed = checks.rates_known = True
-    checks.fit = near._replace(total=fit)
+    checks.fit = replace(near, total=fit)
     for _ in range(200):  # poses, 40 s
         poses += 1
         evidence = OpenEvidence(
