@@ -45,8 +45,7 @@ class Cab:
     """A driver beside a stage: sees what is shown, follows the bar, presses what he is told to."""
 
     def __init__(self, plan: Path) -> None:
-        self.stage = Stage(rate=RATE)
-        self.stage.order(run="before", log_file="/logs/before.mcap")
+        self.stage = Stage(rate=RATE, run="before", log_file="/logs/before.mcap")
         self.states: list[pb.ExperimentState] = []
         self.marks: list[str] = []
         self._wheel = 0.0
@@ -105,10 +104,12 @@ class Cab:
 
     def restart(self) -> None:
         """The daemon is killed; another begins at the same port, in another log and by an earlier clock.
-        What is shown meanwhile passes through the daemon too, and is not heard."""
+        What is shown meanwhile passes through the daemon too, and is not heard. It says nothing until it is
+        heard here again: an event that it told before would be missed."""
         self.stage.kill()
-        self.stage = Stage(self.stage.port, RATE)
-        self.stage.order(run="after", log_file="/logs/after.mcap")
+        self.stage = Stage(self.stage.port, RATE, run="after", log_file="/logs/after.mcap", silent=True)
+        until(lambda: bool(list(self._page.get(f"{BASE}/rig", timeout=1.0))))
+        self.stage.order(silent=False)
 
     def close(self) -> None:
         self._page.close()

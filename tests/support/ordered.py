@@ -12,14 +12,14 @@ from loopback import PATIENCE_S, free_port
 
 
 class Ordered:
-    """`python FILE PORT WORD`, which speaks Zenoh at that port."""
+    """`python FILE PORT WORD…`, which speaks Zenoh at that port."""
 
-    def __init__(self, file: str, port: int | None, word: str) -> None:
+    def __init__(self, file: str, port: int | None, *words: str) -> None:
         """Returns when it is ready."""
         self.port = port or free_port(socket.SOCK_STREAM)
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
         self.process = subprocess.Popen(
-            [sys.executable, file, str(self.port), word],
+            [sys.executable, file, str(self.port), *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -172,9 +172,10 @@ def _version() -> str:
 class Stage(Ordered):
     """The process."""
 
-    def __init__(self, port: int | None = None, rate: float = 1.0) -> None:
-        """rate: of its time to that of the world; its poses come ten times a second of the world's."""
-        super().__init__(__file__, port, str(rate))
+    def __init__(self, port: int | None = None, rate: float = 1.0, **orders: Any) -> None:
+        """rate: of its time to that of the world; its poses come ten times a second of the world's. orders:
+        as it begins."""
+        super().__init__(__file__, port, str(rate), json.dumps(orders))
 
 
 class Monitor:
@@ -219,7 +220,7 @@ class Monitor:
 
 def main() -> None:
     port, rate = int(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 1.0
-    orders = dict(ORDERS)
+    orders = ORDERS | json.loads(sys.argv[3] if len(sys.argv) > 3 else "{}")
     noted: deque[str] = deque()
 
     def mark(query: zenoh.Query, client: str) -> None:
