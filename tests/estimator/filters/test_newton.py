@@ -1,6 +1,7 @@
 """Newton's step on quadratic costs, whose minimum is known, and searches of a bent valley."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,6 +28,10 @@ def quadratic(seed: int) -> tuple[Array, Array, Array]:
     root, minimum = rng.normal(size=(5, 5)), rng.normal(size=5)
     information = root @ root.T + np.eye(5)
     return minimum, -information @ minimum, information
+
+
+def half_square(information: Array, by: Array) -> float:
+    return float(by @ information @ by) / 2.0
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -71,6 +76,9 @@ class Valley:
 
     def residuals(self, at: Array) -> Array:
         return np.array([1.0 - at[0], 10.0 * (at[1] - at[0] ** 2)])
+
+    def rise(self, at: Array, by: Array) -> float:
+        return self.cost(at + by) - self.cost(at)
 
     def terms(self, at: Array) -> tuple[Array, Array, Array]:
         slopes = np.array([[-1.0, 0.0], [-20.0 * at[0], 10.0]])
@@ -165,9 +173,9 @@ def test_two_minima_of_a_made_up_cost_are_told(tilt: float, two: bool) -> None:
     places = []
     for start in (-1.5, 1.5):
         found = hollow(problem, np.array([start, 0.0])).at
-        covariance = np.linalg.inv(problem.terms(found)[2])
+        covariance = np.asarray(np.linalg.inv(problem.terms(found)[2]), np.float64)
         direction = flattest(covariance, np.full(2, 3.0), np.array([True, False]))
-        change = beside(lambda by, found=found: problem.cost(found + by) - problem.cost(found), direction)
+        change = beside(partial(problem.rise, found), direction)
         if change is None:
             continue
         other = hollow(problem, found + change).at
@@ -179,9 +187,9 @@ def test_two_minima_of_a_made_up_cost_are_told(tilt: float, two: bool) -> None:
 def test_one_minimum_has_no_sign_of_another() -> None:
     for seed in range(20):
         _, _, information = quadratic(seed)
-        covariance = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
         direction = flattest(covariance, np.full(5, 3.0), np.arange(5) < 3)
-        assert beside(lambda by, A=information: float(by @ A @ by) / 2.0, direction) is None
+        assert beside(partial(half_square, information), direction) is None
 
 
 def test_a_search_that_goes_to_and_fro_is_ended_by_a_secant() -> None:
