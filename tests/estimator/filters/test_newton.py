@@ -77,9 +77,6 @@ class Valley:
     def residuals(self, at: Array) -> Array:
         return np.array([1.0 - at[0], 10.0 * (at[1] - at[0] ** 2)])
 
-    def rise(self, at: Array, by: Array) -> float:
-        return self.cost(at + by) - self.cost(at)
-
     def terms(self, at: Array) -> tuple[Array, Array, Array]:
         slopes = np.array([[-1.0, 0.0], [-20.0 * at[0], 10.0]])
         return at, slopes.T @ self.residuals(at), slopes.T @ slopes
@@ -142,6 +139,9 @@ class TwoHollows:
     def cost(self, at: Array) -> float:
         x, y = at
         return float(self.depth * ((x * x - 1.0) ** 2 + self.tilt * x) + 2.0 * (y - 0.3 * x) ** 2)
+
+    def rise(self, at: Array, by: Array) -> float:
+        return self.cost(at + by) - self.cost(at)
 
     def terms(self, at: Array) -> tuple[Array, Array, Array]:
         x, y = at
