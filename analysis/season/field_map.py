@@ -1,5 +1,5 @@
-"""A map of each field of a season: the memory by place (estimator/methods/place.py) over all of its stretches,
-asked along each stretch and in cells between them.
+"""A map of each field of a season: the memory by place (estimator/methods/place.py) over all of its
+stretches, asked along each stretch and in cells between them.
 
 The memory in the cab keeps 32 windows; a field here up to MOST_WINDOWS, and beyond that the two that are
 nearest become one, as there. Nothing fades with time: the soil is taken to be as it was until a run tells
@@ -9,7 +9,7 @@ otherwise, as the memory judges that, and the map is of the time after the last 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -38,7 +38,7 @@ STIFFNESSES: Final = PARAMETERS[:AXLES]
 STRETCH, CELL = "stretch", "cell"
 CELL_M: Final = 10.0
 GAP_M: Final = 300.0  # between two fields
-REACH_M: Final = 50.0  # from a way: further off a cell stays empty
+REACH_M: Final = 50.0  # from a way, or less where soil is alike over less: further off a cell stays empty
 STEP_M: Final = 5.0  # between places of a way, to which distances are measured
 MOST_WINDOWS: Final = 4 * PLACE.most_windows
 MOST_CELLS: Final = 100_000
@@ -140,7 +140,8 @@ def mapped(
     soil, changed = memory_of(runs, prior_sd)
     masses = pem.of_masses(np.diag(prior_sd**2))[SIX, SIX][:AXLES, :AXLES]
     ways = tuple(window.path[:, IMPLEMENT_AXLE] for window in windows)
-    grid = _cells(ways, cell_m)
+    reach_m = min(max(soil.at(windows[0].path).length_m, cell_m), REACH_M)
+    grid = _cells(ways, cell_m, reach_m)
     mean, sd = np.zeros((len(grid), AXLES)), np.zeros((len(grid), AXLES))
     for k in range(0, len(grid), AT_ONCE):
         at, covariance = soil.around(grid[k : k + AT_ONCE] + cell_m / 2.0)
@@ -181,23 +182,23 @@ def _said(logs: Array, sds: Array, prior_sd: Array) -> dict[str, Any]:
     return said
 
 
-def _cells(ways: Sequence[Array], cell_m: float) -> Array:
+def _cells(ways: Sequence[Array], cell_m: float, reach_m: float) -> Array:
     """South-west corners of the cells whose middles are in reach of a way, (n, 2). Raises MapProblem."""
     near = cKDTree(np.concatenate([_dense(way) for way in ways]))
-    low, high = near.mins - REACH_M, near.maxes + REACH_M
+    low, high = near.mins - reach_m, near.maxes + reach_m
     first, last = np.floor(low / cell_m).astype(int), np.ceil(high / cell_m).astype(int)
     count = int(np.prod(last - first, dtype=np.float64))
     if count > MOST_CELLS:
         raise MapProblem(f"cells of {cell_m:g} m are {count} in one field; give a larger --cell")
     corners = np.stack(np.meshgrid(*map(np.arange, first, last), indexing="ij"), axis=-1).reshape(-1, 2)
     grid = corners * cell_m
-    return np.asarray(grid[near.query(grid + cell_m / 2.0)[0] <= REACH_M], np.float64)
+    return np.asarray(grid[near.query(grid + cell_m / 2.0)[0] <= reach_m], np.float64)
 
 
 def _dense(way: Array) -> Array:
     """Places along a way, at most STEP_M apart."""
     parts = [way[:1]]
-    for begin, end in zip(way[:-1], way[1:], strict=True):
+    for begin, end in pairwise(way):
         count = max(1, math.ceil(math.dist(begin, end) / STEP_M))
         parts.append(begin + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - begin))
     return np.concatenate(parts)

@@ -63,7 +63,9 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
     rows = [row for row in rows if row["kind"] == STRETCH]
     names = {row["rig_sha256"]: (row["machine"], row["implement"]) for row in rows if row["rig_sha256"]}
     if not names:
-        raise MapProblem(f"{out}: no stretch of driving was fitted in this season, so there is nothing to map")
+        raise MapProblem(
+            f"{out}: no stretch of driving was fitted in this season, so there is nothing to map"
+        )
     rig = _chosen(names, machine, implement)
     own = [row for row in rows if row["rig_sha256"] == rig]
     used = [row for row in own if row["together"] and row["alone_C_af"] is not None]
@@ -75,7 +77,9 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
             "with others; the season's page says why"
         )
     if len(placed) < len(used):
-        left_out.append(f"{len(used) - len(placed)} stretches are not in the map: nobody knows where they were")
+        left_out.append(
+            f"{len(used) - len(placed)} stretches are not in the map: nobody knows where they were"
+        )
     if not placed:
         said = "; ".join(left_out)
         raise MapProblem(f"no stretch of {_label(names, rig)} can be mapped: {said}")
@@ -121,13 +125,16 @@ def _chosen(names: Mapping[str, tuple[str, str]], machine: str | None, implement
     meant = [
         rig
         for rig, (of, words) in names.items()
-        if machine in (None, of) and (implement is None or words.startswith(implement) or rig[:8] == implement)
+        if machine in (None, of)
+        and (implement is None or words.startswith(implement) or rig[:8] == implement)
     ]
     if len(meant) == 1:
         return meant[0]
     there = "; ".join(_label(names, rig) for rig in meant or names)
     if meant:
-        raise MapProblem(f"a map is of one tractor with one implement: give --machine and --implement; {there}")
+        raise MapProblem(
+            f"a map is of one tractor with one implement: give --machine and --implement; {there}"
+        )
     raise MapProblem(f"no such machine with such an implement is in this season; there are: {there}")
 
 

@@ -18,12 +18,12 @@ from tilth.logger.log.software import software
 
 DECIMALS: Final = 7  # of a degree: 11 mm
 MEANING: Final = {
-    "values": "cornering stiffness of a whole axle, N/rad: C_af of the front axle, C_ar of the rear axle, C_ai "
-    "of the implement's; median, with the standard deviation of its natural logarithm (_log_sd)",
-    "places": "a stretch is where the implement's axle was, of its width; its values are those of each axle on "
-    "its own way meanwhile. A cell's values are of each axle as it is in that cell itself, whatever its heading",
-    "informed": "share of the variance of the machine file's prior that this stretch alone removes (_informed)",
-    "left empty": "cells of which too little is known",
+    "values": "cornering stiffness of a whole axle, N/rad: C_af of the front axle, C_ar of the rear axle, "
+    "C_ai of the implement's; median, with the standard deviation of its natural logarithm (_log_sd)",
+    "places": "a stretch is where the implement's axle was, of its width; its values are those of each axle "
+    "on its own way meanwhile. A cell's values are of each axle as it is in that cell, whatever its heading",
+    "informed": "share of the variance of the machine file's prior that a stretch alone removes (_informed)",
+    "left empty": "cells of which too little is known, or further from any way than soil is alike",
 }
 _TEXTS: Final = (
     "kind", *(f"{name}_{what}" for name in STIFFNESSES for what in ("status", "reason")),

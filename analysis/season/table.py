@@ -171,8 +171,8 @@ def require_parquet() -> Any:
 def write_table(
     path: Path, rows: Sequence[SeasonRow], machines: Mapping[str, tuple[str, str | None]]
 ) -> None:
-    """All of it or nothing. machines: SHA-256 -> text and, where there is one, DBC file; those of the rows are
-    kept in the metadata. Raises NoParquet, OSError."""
+    """All of it or nothing. machines: SHA-256 -> text and, where there is one, DBC file; the metadata keep
+    those of the rows. Raises NoParquet, OSError."""
     arrow = require_parquet()
     parquet = import_module("pyarrow.parquet")
     types = {
