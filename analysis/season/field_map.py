@@ -40,7 +40,7 @@ CELL_M: Final = 10.0
 GAP_M: Final = 300.0  # between two fields
 REACH_M: Final = 50.0  # from a way, or less where soil is alike over less: further off a cell stays empty
 STEP_M: Final = 5.0  # between places of a way, to which distances are measured
-MOST_WINDOWS: Final = 4 * PLACE.most_windows
+MOST_WINDOWS: Final = 3 * PLACE.most_windows
 MOST_CELLS: Final = 100_000
 AT_ONCE: Final = 256  # cells
 WIDTH_M: Final = 2.0  # of an axle whose track nobody has measured
@@ -97,7 +97,7 @@ def fields_of(stretches: Sequence[PlacedStretch]) -> list[list[PlacedStretch]]:
     ]
 
 
-def windows_of(machine: Machine, origin_deg: tuple[float, float], one: PlacedStretch) -> SoilWindow:
+def window_of(machine: Machine, origin_deg: tuple[float, float], one: PlacedStretch) -> SoilWindow:
     """A stretch as the memory by place keeps it: of the way of the implement's axle, which is what a season's
     table has, the other two axles are ahead in line."""
     way = np.array([to_plane(origin_deg, *place) for place in one.path_deg.tolist()])
@@ -133,7 +133,7 @@ def mapped(
     """A field. Raises MapProblem where it has too many cells."""
     first = stretches[0].path_deg[0].tolist()
     origin_deg = (first[0], first[1])
-    windows = [windows_of(machine, origin_deg, one) for one in stretches]
+    windows = [window_of(machine, origin_deg, one) for one in stretches]
     prior_mean, prior_sd = unknowns.prior(machine)
     pairs = groupby(zip(stretches, windows, strict=True), key=lambda pair: pair[0].run)
     runs = [(run, [window for _, window in of]) for run, of in pairs]

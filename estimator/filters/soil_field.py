@@ -370,7 +370,7 @@ class SoilMemory:
             cross = np.tile(of_rig[:, :AXLES], len(places)) + one.soil.sd**2 * placed[one.soil.kind]
             here = (cross.T @ one.alpha).reshape(-1, AXLES)
             half = solve_triangular(one.root, cross, lower=True, check_finite=False)
-            by_place = half.reshape(len(cross), -1, AXLES).transpose(1, 2, 0)
+            by_place = half.reshape(len(cross), len(places), AXLES).transpose(1, 2, 0)
             left = own[:AXLES, :AXLES] - by_place @ by_place.transpose(0, 2, 1)
             mean += one.weight * here
             second += one.weight * (left + here[:, :, None] * here[:, None, :])

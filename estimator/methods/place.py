@@ -256,12 +256,15 @@ def _evenly(path: Array) -> Array:
 
 
 def merged_nearest(windows: Sequence[SoilWindow]) -> list[SoilWindow]:
-    """Of two windows of a method that were nearest to each other, one. The last one stays."""
+    """Of two windows of a method that were nearest to each other, one; of before and after a change in time
+    only where there are no others. The last one stays."""
     old = windows[:-1]
+    epochs = np.array([w.epoch for w in old])
     methods, ways = np.array([w.method for w in old]), np.array([w.path[:, 1] for w in old])
     between = np.linalg.norm(ways[:, None, :, None] - ways[None, :, None, :], axis=-1)
     # How far ways are from each other: each place to the nearest of the other.
     apart = np.maximum(between.min(axis=2).mean(axis=2), between.min(axis=3).mean(axis=2))
+    apart[epochs[:, None] != epochs] += np.max(apart)
     apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
     first, second = divmod(int(np.argmin(apart)), len(old))
     both = soil_field.merged(old[first], old[second])
