@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
             rig = stretches_of(args.season, args.machine, args.implement)
             parts = list(enumerate(fields_of(rig.stretches), 1))
             if args.field is not None and args.field > len(parts):
-                raise WrongUse(f"--field {args.field}: there are {len(parts)}")
+                raise WrongUse(f"--field {args.field}: there is {len(parts)}")
             if ending == ".png" and args.field is None and len(parts) > 1:
                 raise WrongUse(f"a picture is of one field, and there are {len(parts)}: give --field, 1 up")
             wanted = [part for part in parts if args.field in (None, part[0])]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.season.season import TABLE
-from tilth.analysis.season.stretches import STRETCH
+from tilth.analysis.season.stretches import STRETCH, DrivenRig
 from tilth.analysis.season.table import FACTS, FORM, MACHINES, require_parquet
 from tilth.estimator.filters.soil_field import AXLES, Told
 from tilth.logger.clock import utc_text
@@ -61,13 +61,13 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
     where there are several. Raises MapProblem, NoParquet, OSError."""
     rows, machines = _read(out)
     rows = [row for row in rows if row["kind"] == STRETCH]
-    names = {row["rig_sha256"]: (row["machine"], row["implement"]) for row in rows if row["rig_sha256"]}
-    if not names:
+    rigs = list(dict.fromkeys(_rig(row) for row in rows if row["rig_sha256"]))
+    if not rigs:
         raise MapProblem(
             f"{out}: no stretch of driving was fitted in this season, so there is nothing to map"
         )
-    rig = _chosen(names, machine, implement)
-    own = [row for row in rows if row["rig_sha256"] == rig]
+    rig = _chosen(rigs, machine, implement)
+    own = [row for row in rows if row["rig_sha256"] and _rig(row) == rig]
     used = [row for row in own if row["together"] and row["alone_C_af"] is not None]
     placed = [row for row in used if _has_place(row)]
     left_out = []
@@ -82,15 +82,15 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
         )
     if not placed:
         said = "; ".join(left_out)
-        raise MapProblem(f"no stretch of {_label(names, rig)} can be mapped: {said}")
+        raise MapProblem(f"no stretch of {_label(rigs, rig)} can be mapped: {said}")
     text = machines.get(placed[-1]["machine_sha256"])
     try:
         if text is None:
             raise MachineError("is not in the table")
         parsed = parse_machine(*text)
     except MachineError as error:
-        raise MapProblem(f"{out / TABLE}: the machine file of {names[rig][0]}: {error}") from None
-    return RigStretches(*names[rig], parsed, tuple(map(_stretch, placed)), tuple(left_out))
+        raise MapProblem(f"{out / TABLE}: the machine file of {rig.machine}: {error}") from None
+    return RigStretches(rig.machine, rig.implement, parsed, tuple(map(_stretch, placed)), tuple(left_out))
 
 
 def _read(out: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -114,23 +114,27 @@ def _read(out: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     return rows, machines
 
 
-def _label(names: Mapping[str, tuple[str, str]], rig: str) -> str:
+def _rig(row: Mapping[str, Any]) -> DrivenRig:
+    return DrivenRig(row["machine"], row["implement"], row["rig_sha256"])
+
+
+def _label(rigs: Sequence[DrivenRig], rig: DrivenRig) -> str:
     """How a rig is called: by its hash, too, where that alone tells it apart."""
-    alike = list(names.values()).count(names[rig]) > 1
-    return f"{names[rig][0]}, implement {names[rig][1]}" + (f" [{rig[:8]}]" if alike else "")
+    alike = sum((one.machine, one.implement) == (rig.machine, rig.implement) for one in rigs) > 1
+    return f"{rig.machine}, implement {rig.implement}" + (f" [{rig.sha256[:8]}]" if alike else "")
 
 
-def _chosen(names: Mapping[str, tuple[str, str]], machine: str | None, implement: str | None) -> str:
+def _chosen(rigs: Sequence[DrivenRig], machine: str | None, implement: str | None) -> DrivenRig:
     """The rig that is meant. Raises MapProblem."""
     meant = [
-        rig
-        for rig, (of, words) in names.items()
-        if machine in (None, of)
-        and (implement is None or words.startswith(implement) or rig[:8] == implement)
+        one
+        for one in rigs
+        if machine in (None, one.machine)
+        and (implement is None or one.implement.startswith(implement) or one.sha256[:8] == implement)
     ]
     if len(meant) == 1:
         return meant[0]
-    there = "; ".join(_label(names, rig) for rig in meant or names)
+    there = "; ".join(_label(rigs, one) for one in meant or rigs)
     if meant:
         raise MapProblem(
             f"a map is of one tractor with one implement: give --machine and --implement; {there}"

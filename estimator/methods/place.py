@@ -264,7 +264,7 @@ def merged_nearest(windows: Sequence[SoilWindow]) -> list[SoilWindow]:
     between = np.linalg.norm(ways[:, None, :, None] - ways[None, :, None, :], axis=-1)
     # How far ways are from each other: each place to the nearest of the other.
     apart = np.maximum(between.min(axis=2).mean(axis=2), between.min(axis=3).mean(axis=2))
-    apart[epochs[:, None] != epochs] += np.max(apart)
+    apart[epochs[:, None] != epochs] += np.max(apart) + 1.0
     apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
     first, second = divmod(int(np.argmin(apart)), len(old))
     both = soil_field.merged(old[first], old[second])

@@ -1,16 +1,23 @@
 """Stretches of a made-up field for maps: rows of a rig on soil that any function of place says."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
-from logs import MACHINE
+from logs import MACHINE, MACHINE_TEXT
 from numpy.typing import NDArray
 
 from tilth.analysis.season.field_map import window_of
+from tilth.analysis.season.identified import Identified, Stretch
+from tilth.analysis.season.inventory import Inventory, SeasonRun, SeenFile
 from tilth.analysis.season.kept_table import PlacedStretch
+from tilth.analysis.season.season import TABLE
+from tilth.analysis.season.stretches import driven as driven_runs
+from tilth.analysis.season.stretches import rows_of
+from tilth.analysis.season.table import write_table
 from tilth.estimator.filters.soil_field import Told
 from tilth.estimator.pose.geometry import to_degrees
 
@@ -72,3 +79,32 @@ def degrees_apart_m(a: Array, b: Array) -> float:
     north, east = np.radians(a - b).T
     east = east * math.cos(math.radians(ORIGIN_DEG[0]))
     return float(6_371_000.0 * np.max(np.hypot(north, east)))
+
+
+UTC_NS: Final = 1_777_622_400_000_000_000  # 2026-05-01T08:00:00Z
+
+
+def kept_season(
+    out: Path, machines: Mapping[str, Sequence[PlacedStretch]], *, text: str = MACHINE_TEXT
+) -> Path:
+    """The folder of a season of one run of each machine. machines: name -> its stretches."""
+    texts, runs = {}, {}
+    for k, (name, stretches) in enumerate(machines.items()):
+        texts[f"sha{k}"] = (text.replace(f'name = "{MACHINE.machine.name}"', f'name = "{name}"', 1), None)
+        begin_ns, end_ns = k * 10**13, (k + 1) * 10**13
+        file = SeenFile(
+            f"{name}.mcap", 1, 0, sha256=f"log{k}", first_ns=begin_ns, last_ns=end_ns - 10**12,
+            utc_minus_ns=UTC_NS, machine=f"sha{k}",
+        )  # fmt: skip
+        told = [
+            Stretch(
+                one.method, begin_ns + n * 10**10, begin_ns + n * 10**10 + 10**9, 20.0, 30.0, 3.0, 0.1,
+                one.path_deg, one.told.information, one.told.vector, one.told.model_sd,
+            )
+            for n, one in enumerate(stretches)
+        ]  # fmt: skip
+        runs[SeasonRun(name, (file,))] = Identified(stretches=tuple(told), confirmed=True)
+    inventory = Inventory(tuple(runs), (), texts)
+    out.mkdir(exist_ok=True)
+    write_table(out / TABLE, rows_of(inventory, driven_runs(inventory, runs)), texts)
+    return out
