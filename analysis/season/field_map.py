@@ -43,6 +43,7 @@ STEP_M: Final = 5.0  # between places of a way, to which distances are measured
 MOST_WINDOWS: Final = 3 * PLACE.most_windows
 MOST_CELLS: Final = 100_000
 AT_ONCE: Final = 256  # cells
+STANDING_M: Final = 1e-3  # between two places of a way that are one
 WIDTH_M: Final = 2.0  # of an axle whose track nobody has measured
 EARTH_M: Final = 6_371_000.0
 
@@ -208,10 +209,12 @@ def along(way: Array, tyre: Any) -> Array:
     """What an axle of this track has driven over: a ring of north and east, closed, counterclockwise as seen
     on a map. Where the way crosses itself, as in the rows of a block, the hull of it."""
     width = (tyre.dual_track or tyre.track).value if tyre.track is not None else WIDTH_M
-    way = way[np.concatenate([[True], np.any(np.diff(way, axis=0) != 0.0, axis=1)])]
+    way = way[np.concatenate([[True], np.linalg.norm(np.diff(way, axis=0), axis=1) > STANDING_M])]
     if len(way) < 2:
         half = width / 2.0
-        return way[0] + half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1], [-1, -1]])
+        return np.asarray(
+            way[0] + half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1], [-1, -1]]), np.float64
+        )
     ahead = np.diff(way, axis=0)
     ahead = np.concatenate([ahead[:1], ahead, ahead[-1:]]) / np.maximum(1e-9, _lengths(ahead))
     ahead = ahead[:-1] + ahead[1:]
@@ -221,7 +224,7 @@ def along(way: Array, tyre: Any) -> Array:
     if not _is_simple(ring):
         ring = _hull(ring)
     ring = np.concatenate([ring, ring[:1]])
-    return ring if _area(ring) > 0.0 else ring[::-1]
+    return np.asarray(ring if _area(ring) > 0.0 else ring[::-1], np.float64)
 
 
 def _lengths(ahead: Array) -> Array:

@@ -1,8 +1,10 @@
 """`tilth map`: what it says, and its exit status."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from soil_drives import driven, kept_season, one_soil
 
@@ -27,6 +29,20 @@ def test_each_kind_of_map_is_written(
     assert out.stat().st_size > 500 and "field 1: 8 stretches of 1 run" in said and f"wrote {out}" in said
     if ending == ".geojson":
         assert json.loads(out.read_bytes())["tilth"]["cell_m"] == 20.0
+
+
+def test_of_several_fields_a_picture_is_of_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    near = driven(one_soil, 0)[:3]
+    far = [replace(one, path_deg=one.path_deg + np.array([0.01, 0.0])) for one in near]
+    season = kept_season(tmp_path / "season", {"rig": [*near, *far]})
+    words = ["map", str(season), "--cell", "25", "--out"]
+    assert main([*words, str(tmp_path / "map.png")]) == 2
+    assert "there are 2: give --field" in capsys.readouterr().err
+    assert main([*words, str(tmp_path / "map.png"), "--field", "2"]) == 0
+    assert "field 2: 3 stretches" in capsys.readouterr().err
+    assert main([*words, str(tmp_path / "map.geojson")]) == 0
+    features = json.loads((tmp_path / "map.geojson").read_bytes())["features"]
+    assert {one["properties"]["field"] for one in features} == {1, 2}
 
 
 @pytest.mark.parametrize(
