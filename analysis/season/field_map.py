@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from tilth.analysis.season.identified import IMPLEMENT_AXLE
 from tilth.analysis.season.kept_table import MapProblem, PlacedStretch
@@ -87,7 +87,7 @@ def fields_of(stretches: Sequence[PlacedStretch]) -> list[list[PlacedStretch]]:
         places.append(np.unique(np.round(EARTH_M * ball / corner), axis=0) * corner)
         of += [k] * len(places[-1])
     nodes, which = np.unique(np.concatenate(places), axis=0, return_inverse=True)
-    pairs = cKDTree(nodes).query_pairs(GAP_M, output_type="ndarray") + len(stretches)
+    pairs = KDTree(nodes).query_pairs(GAP_M, output_type="ndarray") + len(stretches)
     links = np.concatenate([pairs, np.stack([of, which.ravel() + len(stretches)], axis=1)])
     size = len(stretches) + len(nodes)
     graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
@@ -185,7 +185,7 @@ def _said(logs: Array, sds: Array, prior_sd: Array) -> dict[str, Any]:
 
 def _cells(ways: Sequence[Array], cell_m: float, reach_m: float) -> Array:
     """South-west corners of the cells whose middles are in reach of a way, (n, 2). Raises MapProblem."""
-    near = cKDTree(np.concatenate([_dense(way) for way in ways]))
+    near = KDTree(np.concatenate([_dense(way) for way in ways]))
     low, high = near.mins - reach_m, near.maxes + reach_m
     first, last = np.floor(low / cell_m).astype(int), np.ceil(high / cell_m).astype(int)
     count = int(np.prod(last - first, dtype=np.float64))

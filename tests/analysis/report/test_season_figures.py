@@ -37,7 +37,7 @@ def test_a_map_shows_value_and_uncertainty_with_north_up_and_little_contrast_whe
     with matplotlib.rc_context(LOOK):
         value, sd, *_ = field_map(data).axes
     (shown,), (uncertain,) = value.images, sd.images
-    assert shown.get_extent() == [0.0, 30.0, 0.0, 20.0] and shown.origin == "lower"
+    assert tuple(shown.get_extent()) == (0.0, 30.0, 0.0, 20.0) and shown.origin == "lower"
     low, high = shown.get_clim()
     assert high / low == pytest.approx(np.exp(0.2), rel=1e-3)
     assert uncertain.get_clim() == pytest.approx((7.5, 12.5))
