@@ -22,6 +22,7 @@ MEANING: Final = {
     "C_ai of the implement's; median, with the standard deviation of its natural logarithm (_log_sd)",
     "places": "a stretch is where the implement's axle was, of its width; its values are those of each axle "
     "on its own way meanwhile. A cell's values are of each axle as it is in that cell, whatever its heading",
+    "time": "values are of the field's last run: what was told before has faded since, as it does in the cab",
     "informed": "share of the variance of the machine file's prior that a stretch alone removes (_informed)",
     "left empty": "cells of which too little is known, or further from any way than soil is alike",
 }

@@ -117,6 +117,19 @@ def test_soil_that_has_changed_with_time_is_told_and_the_map_is_of_after() -> No
     assert not mapped(1, MACHINE, [*before, *(replace(one, run="day9") for one in before)]).changed
 
 
+def test_what_was_told_fades_from_run_to_run_as_in_the_cab() -> None:
+    """A field is as it was when it was last driven."""
+    told = driven(one_soil, 0)[:12]
+    (last,) = [replace(one, run="day9") for one in driven(one_soil, 1)[-1:]]
+    sds = []
+    for days in (0, 1, 9):
+        later = replace(last, begin_utc_ns=days * 86_400 * 10**9)
+        found = mapped(1, MACHINE, [*told, later])
+        sds.append(of_kind(found, "stretch")[0].properties["C_af_log_sd"] or 1.0)
+        assert of_kind(found, "stretch")[-1].properties["C_af_log_sd"] < 0.2
+    assert sds[0] < sds[1] < sds[2]
+
+
 def test_many_windows_become_fewer_and_tell_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     assert MOST_WINDOWS > 60
     whole = mapped(1, MACHINE, driven(one_soil, 2))
