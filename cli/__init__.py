@@ -44,6 +44,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("import", "make a log of a table of positions and wheel angles"),
     ("export", "write what logs hold to Parquet, CSV or MAT files"),
     ("season", "identify many days of logs, and put them together"),
+    ("map", "draw a map of the fields of a season"),
     ("report", "tell what was driven and found, in one HTML file"),
     ("demo", "drive a simulated tractor through the whole chain"),
     ("simulate", "drive a scenario and write its log, and the truth beside it"),

@@ -1,4 +1,4 @@
-"""Figures of a season: its days, and its soils."""
+"""Figures of a season: its days, its soils, and maps of its fields."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final
@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from tilth.analysis.report.figure_look import (
     BLUE,
     GREEN,
+    INK,
     ORANGE,
     PURPLE,
     QUIET,
@@ -23,6 +24,7 @@ from tilth.schemas.spread import scale_of, unit_of
 
 COLOURS: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 MOST_DAYS_NAMED: Final = 12  # on an axis
+LEAST_LOG_RANGE, LEAST_SD_RANGE = 0.2, 0.05  # of the colours of a map
 
 
 def calendar(data: Mapping[str, Any]) -> Figure:
@@ -72,8 +74,53 @@ def soils(data: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def field_map(data: Mapping[str, Any]) -> Figure:
+    """Value and uncertainty of each stiffness side by side, north up, with ways and the field's outline."""
+    names = list(data["parameters"])
+    west, east, south, north = data["extent"]
+    tall = min(1.2, (north - south) / (east - west)) * WIDTH / 2.0
+    figure, axes = panels(len(names), 2, len(names) * (tall + 0.4), sharex=True, sharey=True)
+    for (value, sd), name in zip(axes, names, strict=True):
+        logs, sds = (np.array(data["parameters"][name][key], dtype=np.float64) for key in ("mean", "sd"))
+        shown = {"origin": "lower", "extent": (west, east, south, north), "interpolation": "none"}
+        shades = np.exp(_at_least(logs, LEAST_LOG_RANGE)) * scale_of(name)
+        drawn = value.imshow(np.exp(logs) * scale_of(name), cmap="viridis", clim=shades, **shown)
+        figure.colorbar(drawn, ax=value, shrink=0.9, label=f"{SYMBOLS[name]}, {unit_of(name)}")
+        drawn = sd.imshow(100.0 * sds, cmap="cividis_r", clim=100.0 * _at_least(sds, LEAST_SD_RANGE), **shown)
+        figure.colorbar(drawn, ax=sd, shrink=0.9, label="sd of its logarithm, %")
+        for panel in (value, sd):
+            for way in data["ways"]:
+                panel.plot(*np.array(way).T, color=QUIET, linewidth=0.4)
+            panel.plot(*np.array(data["outline"]).T, color=INK, linewidth=0.8)
+            panel.set(xticks=[], yticks=[], xlim=(west, east), ylim=(south, north))
+            panel.spines[:].set_visible(False)
+    _scale_and_north(axes[0, 0], east - west)
+    return figure
+
+
+def _at_least(shown: Any, span: float) -> Any:
+    """Least and largest, at least so far apart: what hardly differs is not shown as if it did."""
+    low, high = np.nanmin(shown), np.nanmax(shown)
+    more = max(0.0, span - (high - low)) / 2.0
+    return np.maximum([low - more, high + more], 0.0 if low >= 0.0 else low - more)
+
+
+def _scale_and_north(panel: Any, width_m: float) -> None:
+    """A bar of a round length above the panel, and an arrow."""
+    power = 10.0 ** np.floor(np.log10(width_m / 4.0))
+    bar = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= width_m / 4.0)
+    plain = {"shrinkA": 0, "shrinkB": 0, "color": INK}
+    above = {"xycoords": "axes fraction", "annotation_clip": False}
+    ends = {"arrowstyle": "|-|,widthA=0.2,widthB=0.2", **plain}
+    panel.annotate("", (bar / width_m, 1.03), (0.0, 1.03), arrowprops=ends, **above)
+    panel.annotate(f"{bar:g} m", (bar / width_m + 0.02, 1.03), va="center", **above)
+    arrow = {"arrowstyle": "<-", **plain}
+    panel.annotate("N", (0.97, 1.02), (0.97, 1.1), ha="center", va="bottom", arrowprops=arrow, **above)
+
+
 SEASON_DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
     "calendar": calendar,
     "soils": soils,
+    "field_map": field_map,
 }
 """By the kind of a figure."""

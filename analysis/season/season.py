@@ -81,7 +81,7 @@ def season(
         found, computed, not_kept = _identify(tasks, out, parts, retry, progress)
         runs = driven(inventory, found)
         rows = rows_of(inventory, runs)
-        write_table(out / TABLE, rows)
+        write_table(out / TABLE, rows, inventory.machines)
         done = {
             "key": key, "runs": len(runs), "failed": sum(bool(one.found.failure) for one in runs),
             "rows": len(rows), "left_out": len(inventory.left_out),

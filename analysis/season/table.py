@@ -1,7 +1,7 @@
 """A season's rows as a Parquet file: the same rows give the same bytes."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,7 +19,8 @@ from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import installing
 from tilth.schemas.readable import readable
 
-FORM: Final = 1  # of the table; grows when a column changes its meaning
+FORM: Final = 2  # of the table; grows when a column changes its meaning, or what is beside them
+FACTS, MACHINES = "tilth.season", "tilth.machines"  # keys of the metadata
 TEXT, NUMBER, WHOLE, NUMBERS, TRUTH, UTC = "text", "number", "whole", "numbers", "truth", "utc"
 
 
@@ -167,8 +168,11 @@ def require_parquet() -> Any:
         raise NoParquet(f"a season's table needs one package more: {installing('parquet')}") from None
 
 
-def write_table(path: Path, rows: Sequence[SeasonRow]) -> None:
-    """All of it or nothing. Raises NoParquet, OSError."""
+def write_table(
+    path: Path, rows: Sequence[SeasonRow], machines: Mapping[str, tuple[str, str | None]]
+) -> None:
+    """All of it or nothing. machines: SHA-256 -> text and, where there is one, DBC file; the metadata keep
+    those of the rows. Raises NoParquet, OSError."""
     arrow = require_parquet()
     parquet = import_module("pyarrow.parquet")
     types = {
@@ -180,7 +184,9 @@ def write_table(path: Path, rows: Sequence[SeasonRow]) -> None:
     ]
     said = software()
     facts = {"form": str(FORM), **{key: said[key] for key in ("version", "estimator", "numpy", "numba")}}
-    schema = arrow.schema(fields, metadata={"tilth.season": json.dumps(facts, sort_keys=True)})
+    of_rows = sorted({row.run.run.machine for row in rows if row.run is not None} & set(machines))
+    texts = json.dumps({sha256: machines[sha256] for sha256 in of_rows})
+    schema = arrow.schema(fields, metadata={FACTS: json.dumps(facts, sort_keys=True), MACHINES: texts})
     table = arrow.table(
         [arrow.array([c.of(row) for row in rows], types[c.kind]) for c in COLUMNS], schema=schema
     )

@@ -18,7 +18,7 @@ from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.special import chdtrc
 
 from tilth.estimator.filters.unknowns import NOISE, SIX
@@ -355,6 +355,26 @@ class SoilMemory:
             length += one.weight * one.soil.length_m
         covariance = second - np.outer(mean, mean)
         return At(mean, (covariance + covariance.T) / 2.0, length)
+
+    def around(self, places: Array) -> tuple[Array, Array]:
+        """Of the stiffnesses' logarithms less the prior's mean, of an axle at each of these places, whatever
+        its heading: mean (m, 3) and covariance (m, 3, 3). places: north and east, (m, 2), m."""
+        there = np.broadcast_to(places[:, None, None], (len(places), AXLES, 1, 2))
+        apart, at_one = _apart(self._places, there), self._near(np.zeros((AXLES, 2)))
+        mean, second = np.zeros((len(places), AXLES)), np.zeros((len(places), AXLES, AXLES))
+        placed = {k: self._placed @ one.correlation(apart, one.length_m) for k, one in self._kinds.items()}
+        for one in self._hypotheses:
+            told, itself = at_one.kinds[one.soil.kind]
+            alike = {one.soil.kind: (np.zeros_like(told), itself)}
+            of_rig, own = self._with(_Near(alike, at_one.toward), one.soil)
+            cross = np.tile(of_rig[:, :AXLES], len(places)) + one.soil.sd**2 * placed[one.soil.kind]
+            here = (cross.T @ one.alpha).reshape(-1, AXLES)
+            half = solve_triangular(one.root, cross, lower=True, check_finite=False)
+            by_place = half.reshape(len(cross), len(places), AXLES).transpose(1, 2, 0)
+            left = own[:AXLES, :AXLES] - by_place @ by_place.transpose(0, 2, 1)
+            mean += one.weight * here
+            second += one.weight * (left + here[:, :, None] * here[:, None, :])
+        return mean, second - mean[:, :, None] * mean[:, None, :]
 
     def elsewhere(self, place: Array) -> Array:
         """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what

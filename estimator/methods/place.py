@@ -121,10 +121,14 @@ def _axles(machine: Machine, pose: Pose) -> Array | None:
 
 def axles_ahead(state: PlaceState, machine: Machine, x: float, y: float) -> Array:
     """Where the axles are, (3, 2), as the rear one is at a place and all in line as the tractor heads now."""
+    return np.array([x, y]) + axles_in_line(machine, state.heading)
+
+
+def axles_in_line(machine: Machine, heading: float) -> Array:
+    """North and east of front, rear and implement's axle from the rear one, (3, 2), m, all in line."""
     a, b, c = machine.tractor.a.value, machine.tractor.b.value, machine.tractor.c.value
     behind = np.array([a + b, 0.0, b - c - machine.implement.d.value - machine.implement.e.value])
-    ahead = np.array([math.cos(state.heading), math.sin(state.heading)])
-    return np.asarray(np.array([x, y]) + behind[:, None] * ahead, np.float64)
+    return np.asarray(behind[:, None] * np.array([math.cos(heading), math.sin(heading)]), np.float64)
 
 
 def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
@@ -200,7 +204,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
         after = SoilMemory([*kept, replace(window, epoch=window.epoch + 1)], state.prior_sd)
     state.windows, state.soil = list(after.windows), after
     if len(state.windows) > PLACE.most_windows:
-        _merge_nearest(state)
+        state.windows = merged_nearest(state.windows)
     state.informed_ns = job.closed_ns
     state.window_s += sum(len(record.ticks) for record in records) * DT
     return foreseen
@@ -251,17 +255,20 @@ def _evenly(path: Array) -> Array:
     return path[np.linspace(0, len(path) - 1, SOIL_FIELD.points).round().astype(np.int64)]
 
 
-def _merge_nearest(state: PlaceState) -> None:
-    """Of two windows of a method that were nearest to each other, one. The last one stays."""
-    old = state.windows[:-1]
+def merged_nearest(windows: Sequence[SoilWindow]) -> list[SoilWindow]:
+    """Of two windows of a method that were nearest to each other, one; of before and after a change in time
+    only where there are no others. The last one stays."""
+    old = windows[:-1]
+    epochs = np.array([w.epoch for w in old])
     methods, ways = np.array([w.method for w in old]), np.array([w.path[:, 1] for w in old])
     between = np.linalg.norm(ways[:, None, :, None] - ways[None, :, None, :], axis=-1)
     # How far ways are from each other: each place to the nearest of the other.
     apart = np.maximum(between.min(axis=2).mean(axis=2), between.min(axis=3).mean(axis=2))
+    apart[epochs[:, None] != epochs] += np.max(apart) + 1.0
     apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
     first, second = divmod(int(np.argmin(apart)), len(old))
     both = soil_field.merged(old[first], old[second])
-    state.windows = [both if k == second else w for k, w in enumerate(state.windows) if k != first]
+    return [both if k == second else w for k, w in enumerate(windows) if k != first]
 
 
 def estimate(state: PlaceState, machine: Machine, t_ns: int) -> Estimate:

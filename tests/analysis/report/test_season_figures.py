@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tilth.analysis.report.figure_look import LOOK
-from tilth.analysis.report.season_figures import MOST_DAYS_NAMED, calendar, soils
+from tilth.analysis.report.season_figures import MOST_DAYS_NAMED, calendar, field_map, soils
 
 
 def test_the_calendar_adds_up_the_machines_of_a_day_and_names_few_days() -> None:
@@ -26,3 +26,19 @@ def test_soils_have_a_panel_for_each_stiffness_in_the_order_of_driving() -> None
     assert [panel.get_ylabel() for panel in panels] == ["C_αf, kN/rad", "C_αi, kN/rad"]
     shown = np.asarray(panels[0].lines[0].get_ydata(), dtype=np.float64)
     np.testing.assert_allclose(shown, np.arange(100.0, 105.0))
+
+
+def test_a_map_shows_value_and_uncertainty_with_north_up_and_little_contrast_where_all_is_alike() -> None:
+    flat = {"mean": [[11.5, 11.5, None], [11.5, 11.51, 11.5]], "sd": [[0.1, 0.1, None], [0.1, 0.1, 0.1]]}
+    data = {
+        "extent": [0.0, 30.0, 0.0, 20.0], "parameters": {"C_af": flat}, "ways": [[[5.0, 5.0], [25.0, 15.0]]],
+        "outline": [[5.0, 5.0], [25.0, 15.0], [5.0, 5.0]],
+    }  # fmt: skip
+    with matplotlib.rc_context(LOOK):
+        value, sd, *_ = field_map(data).axes
+    (shown,), (uncertain,) = value.images, sd.images
+    assert tuple(shown.get_extent()) == (0.0, 30.0, 0.0, 20.0) and shown.origin == "lower"
+    low, high = shown.get_clim()
+    assert high / low == pytest.approx(np.exp(0.2), rel=1e-3)
+    assert uncertain.get_clim() == pytest.approx((7.5, 12.5))
+    assert {text.get_text() for text in value.texts} == {"", "5 m", "N"}

@@ -209,3 +209,14 @@ def test_what_rows_and_turns_differ_by_is_not_taken_for_soil() -> None:
     found = field.at(rig_at(60.0, 12.2 * 12))
     assert field.patchy < 0.2 and found.mean[:3] == pytest.approx(np.zeros(3), abs=0.03)
     assert np.all(np.sqrt(np.diag(found.covariance)[:3]) > 0.06)
+
+
+def test_many_places_at_once_are_as_each_alone() -> None:
+    """Axles one above the other have no heading, as a cell of a map has none."""
+    field = SoilMemory([window(np.full(6, 0.1 * k), 40.0 * k, 6.0 * k, k=k) for k in range(6)], PRIOR_SD)
+    places = np.array([[0.0, 0.0], [55.0, 12.0], [3000.0, -20.0]])
+    mean, covariance = field.around(places)
+    for k, place in enumerate(places):
+        alone = field.at(np.tile(place, (3, 1)))
+        np.testing.assert_allclose(mean[k], alone.mean[:3], atol=1e-12)
+        np.testing.assert_allclose(covariance[k], alone.covariance[:3, :3], atol=1e-12)

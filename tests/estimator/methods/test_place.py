@@ -289,3 +289,15 @@ def test_the_fold_tells_of_a_change_of_soil_that_the_memory_did_not_foresee(log:
     kinds = [p.value.kind for p in fold.adopt(state, 2100 * S, "pem", made) if isinstance(p.value, Event)]
     assert kinds.count(EventKind.SOIL_CHANGE) == told
     assert found.changes == 1  # pem learns anew either way
+
+
+def test_windows_of_before_and_after_a_change_in_time_become_one_last() -> None:
+    """Where the same rows are driven again after rain, the nearest window is of dry soil."""
+    told = Told(np.eye(6), np.zeros(6), np.zeros(6))
+    windows = [
+        soil_field.SoilWindow("pem", k, 0, np.tile([60.0 * (k % 3), 0.0], (6, 3, 1)), told, epoch=k // 3)
+        for k in range(7)
+    ]
+    for left, epochs in ((6, 3), (5, 3), (4, 3), (3, 3), (2, 2)):
+        windows = place.merged_nearest(windows)
+        assert len(windows) == left and len({window.epoch for window in windows}) == epochs

@@ -1,0 +1,74 @@
+"""Maps as files: GeoJSON beside RFC 7946, and GeoParquet 1.1 read back."""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from logs import MACHINE
+from soil_drives import ORIGIN_DEG, degrees_apart_m, driven, two_soils
+
+from tilth.analysis.season.field_map import MapFeature, mapped
+from tilth.analysis.season.kept_table import RigStretches
+from tilth.analysis.season.map_files import facts_of, write_geojson, write_geoparquet
+
+RIG = RigStretches("tractor", "drill", MACHINE, (), ())
+FACTS = facts_of(RIG, 10.0)
+
+
+@pytest.fixture(scope="module")
+def features() -> tuple[MapFeature, ...]:
+    return mapped(1, MACHINE, driven(two_soils, 0)[:20]).features
+
+
+def doubled_area(ring: Any) -> float:
+    x, y = np.array(ring).T
+    return float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def test_geojson_is_closed_counterclockwise_and_within_its_bounds(
+    features: tuple[MapFeature, ...], tmp_path: Path
+) -> None:
+    write_geojson(tmp_path / "m.geojson", features, FACTS)
+    whole = json.loads((tmp_path / "m.geojson").read_bytes())
+    assert whole["type"] == "FeatureCollection" and "crs" not in whole
+    west, south, east, north = whole["bbox"]
+    assert west < ORIGIN_DEG[1] < east and south < ORIGIN_DEG[0] < north
+    assert {one["properties"]["kind"] for one in whole["features"]} == {"stretch", "cell"}
+    for one, made in zip(whole["features"], features, strict=True):
+        assert one["type"] == "Feature" and one["geometry"]["type"] == "Polygon"
+        (ring,) = one["geometry"]["coordinates"]
+        assert ring[0] == ring[-1] and len(ring) >= 4 and doubled_area(ring) > 0.0
+        assert all(west <= x <= east and south <= y <= north for x, y in ring)
+        assert all(round(x, 7) == x and round(y, 7) == y for x, y in ring)
+        assert degrees_apart_m(np.array(ring)[:, ::-1], made.ring[:, ::-1]) < 0.01
+    assert whole["tilth"]["machine"] == "tractor" and "implement's axle" in whole["tilth"]["places"]
+
+
+def test_geoparquet_says_where_it_is_and_reads_back(features: tuple[MapFeature, ...], tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    write_geoparquet(tmp_path / "m.parquet", features, FACTS)
+    table = pq.read_table(tmp_path / "m.parquet")
+    geo = json.loads(table.schema.metadata[b"geo"])
+    assert geo["version"] == "1.1.0" and geo["primary_column"] == "geometry"
+    column = geo["columns"]["geometry"]
+    assert column["encoding"] == "WKB" and column["geometry_types"] == ["Polygon"]
+    assert column["crs"]["id"] == {"authority": "OGC", "code": "CRS84"}
+    assert column["orientation"] == "counterclockwise"
+    assert not table.schema.field("geometry").metadata  # an extension type here hides the CRS from some
+    for wkb, made in zip(table["geometry"].to_pylist(), features, strict=True):
+        assert struct.unpack_from("<BIII", wkb) == (1, 3, 1, len(made.ring))
+        np.testing.assert_array_equal(np.frombuffer(wkb, "<f8", offset=13).reshape(-1, 2), made.ring)
+    rows = table.to_pylist()
+    assert [row["C_af"] for row in rows] == [one.properties["C_af"] for one in features]
+    assert rows[0]["run"] == "day0" and rows[-1]["run"] is None and rows[-1]["kind"] == "cell"
+    assert json.loads(table.schema.metadata[b"tilth"]) == FACTS
+
+
+def test_what_is_there_stays(features: tuple[MapFeature, ...], tmp_path: Path) -> None:
+    (tmp_path / "m.geojson").write_text("mine")
+    with pytest.raises(FileExistsError):
+        write_geojson(tmp_path / "m.geojson", features, FACTS)
+    assert (tmp_path / "m.geojson").read_text() == "mine"
