@@ -79,7 +79,8 @@ def main() -> None:
 
 
 def logged_drive(path: Path, seconds: float, own: bool = False) -> tuple[Machine, str, list[Frame]]:
-    """Drive the packaged machine and log it as the daemon does, with its results. own: frames of the rig alone."""
+    """Drive the packaged machine and log it as the daemon does, with its results. own: the
+    rig's frames alone."""
     text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
     machine = parse_machine(text)
     rows = list(simulate(machine, 1, seconds, Scenario(other_traffic=False) if own else None))
