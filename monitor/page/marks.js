@@ -78,7 +78,7 @@ function prepareNote() {
     }
     button.disabled = true;
     put(answer, word("Asking the daemon …"));
-    const result = await send(input.value);
+    const result = await noted("/mark", input.value);
     button.disabled = false;
     put(answer, told(result));
     if (result.noted) {
