@@ -113,7 +113,7 @@ def check_out(out: Path | None, beside: Sequence[str] = (".json",)) -> None:
         return
     if out.suffix.lower() not in REPORT_SUFFIXES:
         raise WrongUse(f"--out {out}: give a name that ends in .html")
-    for path in (out, *map(out.with_suffix, beside)):
+    for path in (out, *(out.with_suffix(ending) for ending in beside)):
         if path.exists():
             raise exists(path)
     check_folder(out.parent)
