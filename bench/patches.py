@@ -170,7 +170,8 @@ def follow(first: int, minutes: float, one_soil: bool, k: int) -> Result:
     series = {**heard.series, ORACLE: np.array(watch.told)}
     methods = {}
     for method in (*METHODS, ORACLE):
-        told = np.reshape(series.get(method, ()), (-1, 14))
+        rows = series.get(method, ())
+        told = np.asarray(rows) if len(rows) else np.zeros((0, 13))
         at = np.clip((told[:, 0] / STEP_S).round().astype(np.int64), 0, len(psi) - 1)
         methods[method] = {
             "error": (told[:, 1:7] - np.log(truth.soil[at])).tolist(),
