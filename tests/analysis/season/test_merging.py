@@ -44,7 +44,7 @@ def whole(stretches: list[Stretch]) -> tuple[Array, Array]:
     covariance = np.linalg.inv(np.linalg.inv(prior) + information)
     mean = covariance @ vector
     blocks = [covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(n)]
-    return np.asarray(mean.reshape(n, 6), np.float64), np.array(blocks)
+    return np.asarray(mean.reshape(n, 6), np.float64), np.array(blocks, np.float64)
 
 
 def test_smoothed_is_the_whole_season_as_one_problem() -> None:
