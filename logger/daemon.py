@@ -262,14 +262,16 @@ def run_daemon(
         gc.freeze()
         before_s = 0.0 if summary is None else summary.seconds
         try:
-            while not stop() and (seconds is None or before_s + daemon.uptime_s < seconds):
+            while (
+                daemon.following is None
+                and not stop()
+                and (seconds is None or before_s + daemon.uptime_s < seconds)
+            ):
                 daemon.turn()
-                if daemon.following is not None:
-                    break
+            following = daemon.following  # what is asked for while it closes is for the next start
         finally:  # also of an error nobody foresaw: the log is whole
             ended = daemon.close()
             summary = ended if summary is None else ended.after(summary)
-        following = daemon.following
         fresh, events = False, None
     assert summary is not None
     return summary
