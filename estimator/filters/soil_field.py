@@ -12,7 +12,7 @@ model are common to all windows of a method: a random effect, so they do not ave
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Final, NamedTuple
 
@@ -54,6 +54,7 @@ class SoilFieldTuning:
 
 
 SOIL_FIELD: Final = SoilFieldTuning()
+_KINDS: Final = len(SOIL_FIELD.sds) * len(SOIL_FIELD.lengths_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,8 @@ class Told:
     information: Annotated[Array, Shape((6, 6))]
     vector: Annotated[Array, Shape((6,))]  # information @ (what it says alone, less the prior's mean)
     model_sd: Annotated[Array, Shape((6,))]  # of errors of the model, in common with others of its method
+    within: Annotated[Array, Shape((_KINDS,))] = field(default_factory=lambda: np.zeros(_KINDS))
+    """Logarithm of the likelihood of how soil differed along its way, by each of VARIOGRAMS."""
 
 
 def told(
@@ -134,6 +137,7 @@ def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
         one.told.information + other.told.information,
         one.told.vector + other.told.vector,
         np.maximum(one.told.model_sd, other.told.model_sd),
+        one.told.within + other.told.within,
     )
     return replace(max(one, other, key=lambda window: window.begin_ns), told=told)
 
@@ -150,18 +154,18 @@ class KeptSoil:
         return all(
             np.all(np.isfinite(part))
             for w in self.windows
-            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd)
+            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd, w.told.within)
         )
 
     def faded(self, share: float) -> "KeptSoil":
         """With so much of its information left."""
-        windows = [
-            replace(
-                w, told=replace(w.told, information=share * w.told.information, vector=share * w.told.vector)
-            )
-            for w in self.windows
-        ]
-        return replace(self, windows=windows)
+        def less(told: Told) -> Told:
+            return replace(
+                told, information=share * told.information, vector=share * told.vector,
+                within=share * told.within,
+            )  # fmt: skip
+
+        return replace(self, windows=[replace(w, told=less(w.told)) for w in self.windows])
 
 
 class At(NamedTuple):
@@ -300,12 +304,16 @@ class SoilMemory:
             key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
             for key, one in self._kinds.items()
         }
+        along = np.zeros(len(self.variograms))
+        if self.variograms is VARIOGRAMS:
+            along += sum(window.told.within for window in self.windows)
         found, logs = [], []
-        for one in self.variograms:
+        for one, likely in zip(self.variograms, along.tolist(), strict=True):
             root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            logs.append(math.log(one.beforehand) - 0.5 * distance - float(np.sum(np.log(np.diag(root)))))
+            likely -= 0.5 * distance + float(np.sum(np.log(np.diag(root))))
+            logs.append(math.log(one.beforehand) + likely)
             found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0
@@ -321,6 +329,11 @@ class SoilMemory:
         """Variances of the six between before and after a change in time, (6,)."""
         stiffness = np.arange(6) < AXLES
         return np.where(stiffness, np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2, 0.0)
+
+    @property
+    def log_likelihoods(self) -> Array:
+        """Of what was told, by each hypothesis, (v,)."""
+        return np.array([one.score - math.log(one.soil.beforehand) for one in self._scored])
 
     @property
     def _hypotheses(self) -> list[_Hypothesis]:
