@@ -159,6 +159,7 @@ class KeptSoil:
 
     def faded(self, share: float) -> "KeptSoil":
         """With so much of its information left."""
+
         def less(told: Told) -> Told:
             return replace(
                 told, information=share * told.information, vector=share * told.vector,

@@ -7,6 +7,7 @@ the first window, when nothing can be compared with it yet. Told are the values 
 other: where all of them are together is told by the window as a whole.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from tilth.estimator.filters.likelihood import Iterate, Search
-from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow, Told
+from tilth.estimator.filters.soil_field import SOIL_FIELD, VARIOGRAMS, SoilMemory, SoilWindow, Told
 from tilth.estimator.filters.states import DT
 from tilth.estimator.record.record import PSI, TICK, Record, U
 from tilth.estimator.tuning import tuned
@@ -32,9 +33,15 @@ class SoilWithinTuning:
     )
     """What the ground does over seconds is more, or less, than its model has: of a chirp over 2 cm the pieces
     scattered three times as far, which is not as soil differs."""
+    zones: float = tuned(
+        0.1, "1", "probability that one window lies in one zone of a field that differs from zone to zone"
+    )
+    """Patches go on everywhere; a wet end does not. So one window alone never makes one soil ten times as
+    likely beside them."""
 
 
 SOIL_WITHIN: Final = SoilWithinTuning()
+_ALIKE: Final = np.array([one.sd == min(SOIL_FIELD.sds) for one in VARIOGRAMS])
 
 
 class Pieces(NamedTuple):
@@ -68,22 +75,22 @@ def pieces_of(search: Search, left: Iterate) -> Pieces:
 def _way(record: Record, geometry: Array) -> Array:
     """Of the axles at each tick, (n, 3, 2), m. geometry: as of RigSetup."""
     a, b, c, d, e = geometry[:5]
-    ahead, behind = (
-        np.column_stack([np.cos(psi), np.sin(psi)]) for psi in record.ticks[:, PSI : PSI + 2].T
-    )
+    ahead, behind = (np.column_stack([np.cos(psi), np.sin(psi)]) for psi in record.ticks[:, PSI : PSI + 2].T)
     cg = np.cumsum(record.ticks[:, U, None] * ahead * DT, axis=0)
     return np.stack([cg + a * ahead, cg - b * ahead, cg - c * ahead - (d + e) * behind], axis=1)
 
 
 def likelihoods(pieces: Pieces, wider: Array, prior_sd: Array) -> Array:
     """Logarithm of the likelihood of what the pieces tell beside each other by each of VARIOGRAMS, the
-    largest 0, (v,), whatever the noise. wider: factors on the sds of the six by noise, (6,). prior_sd: of the
-    machine file, (n,)."""
+    largest 0, (v,), whatever the noise, and though all may lie in one zone. wider: factors on the sds of the
+    six by noise, (6,). prior_sd: of the machine file, (n,)."""
     by_noise = [
         SoilMemory(_windows(pieces, factor * wider), prior_sd).log_likelihoods for factor in SOIL_WITHIN.noise
     ]
     found = np.asarray(logsumexp(by_noise, axis=0), np.float64)
-    return found - found.max()
+    in_one_zone = logsumexp(found[_ALIKE]) - math.log(np.sum(_ALIKE))
+    found = np.logaddexp(found + math.log1p(-SOIL_WITHIN.zones), in_one_zone + math.log(SOIL_WITHIN.zones))
+    return np.asarray(found - found.max(), np.float64)
 
 
 def _windows(pieces: Pieces, wider: Array) -> list[SoilWindow]:
