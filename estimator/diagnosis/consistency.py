@@ -308,7 +308,7 @@ def _update(
         opened = one.code is Code.DRIVING_FINDS
         if not case.found(one, CONSISTENCY.least_poses_open if opened else CONSISTENCY.least_poses):
             continue
-        if opened and (not state.open_restarted or evidence.rough):
+        if opened and (not state.open_restarted or (evidence.rough and not NUMBER[one.numbers[0]].in_rows)):
             evidence = _restart_open(state, directive, evidence)
             del state.cases[key]
             continue
@@ -334,8 +334,9 @@ def _update(
 
 def _restart_open(state: Consistency, directive: Directive, evidence: OpenEvidence) -> OpenEvidence:
     """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
-    twice, except on rough ground. There a file is not accused, but from the second time on it is not
-    confirmed either: a restarted one agrees with any file until it has learned."""
+    twice, except on rough ground. There a file is accused of what straight driving tells too, and of nothing
+    else, but from the second time on it is not confirmed either: a restarted one agrees with any file until
+    it has learned."""
     state.confirmed &= not state.open_restarted
     state.open_restarted = directive.reset_open = True
     return evidence.restarted()
@@ -347,6 +348,7 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     if agreeing is not None and not _fits(evidence, CONSISTENCY.ends):
         evidence = replace(evidence, misfit=agreeing)  # that tracker has lost its way
     state.agrees.look(_fits(evidence, CONSISTENCY.ends))
+    doubt = None if _fits(evidence, 1.0) else NUMBER[NAMES[int(evidence.misfit.by_name.argmax())]].key
     decided = _sensors_known(state)
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
     learned = evidence.learned >= least
@@ -356,6 +358,9 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
         keys = () if decided else ("turn rates and rolls",)
         seconds = max((least - evidence.learned) * SEGMENT_S, 0.0 if decided else WIDENING.shortest_s)
         state.missing = Reason(Code.NOT_CONFIRMED, keys, (seconds,))
+        return
+    if doubt and not state.judged:  # slopes do not say what so large an error would do
+        state.missing = Reason(Code.DOUBTED, (doubt,))
         return
     state.judged = True
     state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else (), state.fit)
