@@ -224,8 +224,8 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
 def _rolls(
     state: ReceiverChecks, aligner: Aligner, body: int, t_ns: int
 ) -> tuple[float, float, float] | None:
-    """(roll, rad; variance of its noise; half the difference of two receivers' rolls less its mean) of a body.
-    With two receivers that gives the noise."""
+    """(roll, rad; variance of its noise; half the difference of two receivers' rolls less its mean, which
+    gives the noise) of a body."""
     match [
         found
         for _, track, at in aligner.in_use(body, t_ns)

@@ -30,10 +30,10 @@ Array = NDArray[np.float64]
 
 TYRE_COLUMNS: Final = ("load", "along", "across", "slip", "deflection", "elevation", "camber", "power")
 """Of each tyre: N; N; N; rad; m; m; rad, leaning right of the ground's normal; W, done on the bodies."""
-GOVERNED_KG: Final = 9391.0
+GOVERNED_KG: Final = 9391.0  # kg
 GOVERNOR: Final = (60e3, 60e3)  # N s/m and N/m: proportional, integral; assumed: a transmission's
 DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
-"""Of a tractor of GOVERNED_KG, and of others as their masses are: one for 9 t lifts the front of one of 3 t."""
+"""Of a tractor of GOVERNED_KG, and of others as their masses are: one for 9 t lifts the front of 3 t."""
 ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
 
 
