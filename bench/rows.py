@@ -97,7 +97,7 @@ class Cell(NamedTuple):
 
 def cell_of(k: int) -> Cell:
     """Each 18 drives in a row are all cells once."""
-    return Cell(MAKES[k % 3], PLANTS[k // 3 % 2], GROUNDS[(k + k // 6) % 3])
+    return Cell(MAKES[k // 2 % 3], PLANTS[k % 2], GROUNDS[(k // 2 + k // 6) % 3])
 
 
 Change = Callable[[int, Scenario], Scenario]

@@ -57,7 +57,7 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, over: float, he
     lines = {line.figure: line for line in rows.lines_of(_made(z, over))}
     assert lines["C_ar"].held is held
     assert lines["all: 95 % intervals that hold"].held is (z == 1.0)
-    assert "0.45°" in lines["1 valve, planar, 1 cm, 4.0 m/s"].reached
+    assert "0.45°" in lines["1 pid, spatial, 0.5 cm, 4.0 m/s"].reached
 
 
 @pytest.mark.parametrize(("found", "held"), [(0.11, True), (0.13, False)])

@@ -8,7 +8,7 @@ from circle import demo_machine
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from straight_row import raw_response, weaving
+from straight_row import on_a_rut, weaving
 
 from tilth.estimator.filters import row_fit, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -27,7 +27,6 @@ from tilth.estimator.record.record import (
     KIND,
     NORTH,
     PSI,
-    SD,
     VALUE,
     VELOCITY,
     WHEEL_ANGLE,
@@ -43,25 +42,8 @@ SETUP = rig_setup(MACHINE)
 COVARIANCE = np.diag(SD_PRIOR**2)
 
 
-def rut(record: Record, rng: np.random.Generator) -> Array:
-    """One disturbance that meets the outputs one after the other: no filter's model."""
-    profile = np.convolve(rng.standard_normal(len(record.ticks) + 400), np.hanning(60), "same")
-    at, kinds = record.rows[:, 0].astype(int), record.rows[:, KIND]
-    later = 60.0 * (record.rows[:, 3] >= 2) + 20.0 * (kinds == YAW_RATE)
-    sizes = np.choose(kinds.astype(int), (0.002, 0.012, 0.0, 0.004, 0.0, 0.001))
-    return np.asarray(sizes * profile[(at + 200 - later).astype(int)] / profile.std())
-
-
 def driven(seconds: float, seed: int, point: Array, slower: int = 1) -> Record:
-    """A row of a rig at a point of the unknowns, on such ground, with white sensors. slower: an odd number of
-    ticks, over which steering is a mean."""
-    record, rng = weaving(seconds, seed=seed), np.random.default_rng(1000 + seed)
-    angle = np.pad(record.ticks[:, WHEEL_ANGLE], slower // 2, "edge")
-    record.ticks[:, WHEEL_ANGLE] = np.convolve(angle, np.ones(slower) / slower, "valid")
-    rows = record.rows.copy()
-    rows[:, VALUE] = raw_response(record, point, SETUP)[:, 0]
-    rows[:, VALUE] += rut(record, rng) + rows[:, SD] * rng.standard_normal(len(rows))
-    return Record(0, record.ticks, rows)
+    return on_a_rut(seconds, seed, point, SETUP, slower)
 
 
 def other_tyres(seed: int) -> Array:
