@@ -27,6 +27,7 @@ from tilth.estimator.filters.row_filter import (
     Whitened,
     respond,
     set_gains,
+    stops_of,
 )
 from tilth.estimator.filters.sensors.wheel_play import flanks
 from tilth.estimator.filters.states import DT
@@ -194,15 +195,18 @@ def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
     rows, ticks = np.ascontiguousarray(record.rows), np.ascontiguousarray(record.ticks)
     wheel, m, speeds = ticks[:, WHEEL_ANGLE], len(rows), tabulated(ticks)
     used = (np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)).astype(np.float64)
-    gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, len(KEPT))), np.zeros((m, len(KEPT))), used)
+    stops, n = stops_of(rows[used > 0.0], len(ticks)), len(KEPT)
+    of_stops = np.zeros((len(stops.ticks) - 1, n, n))
+    gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)), of_stops, used)
     model = filter_model(speeds, point, setup)
     each = Whitened(
-        ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]), flanks(wheel)
-    )
+        ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]), flanks(wheel),
+        stops,
+    )  # fmt: skip
     response, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
     respond(each, straight, _of_row(point, 0.0, np.zeros(len(OF_ROWS))), likelihood.NOTHING, response)
     left = across_row(record) - response[:, 0]
-    set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, gains)
+    set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, stops, gains)
     instants = rows[:, TICK] * DT + rows[:, OFFSET]
     epoch = epochs_of(instants)
     first, count, output = int(epoch.min()), int(np.ptp(epoch)) + 1, output_of(rows)

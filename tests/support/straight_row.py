@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.likelihood import NOTHING
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond
+from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, stops_of
 from tilth.estimator.filters.sensors.wheel_play import flanks
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
@@ -69,11 +69,12 @@ def raw_response(
     """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a). of_rows:
     play of the wheel sensor and scales of turn rates."""
     m, speeds = len(record.rows), tabulated(record.ticks)
-    zeros = np.zeros((m, len(KEPT)))
-    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
+    zeros, stops = np.zeros((m, len(KEPT))), stops_of(record.rows, len(record.ticks))
+    of_stops = np.zeros((len(stops.ticks) - 1, len(KEPT), len(KEPT)))
+    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), of_stops, np.ones(m))
     whole = Whitened(
         record.ticks, record.rows, gains, filter_model(speeds, point, setup), np.arange(m), np.ones(m),
-        np.array([record.ticks[:, 0].mean()]), flanks(record.ticks[:, 0]),
+        np.array([record.ticks[:, 0].mean()]), flanks(record.ticks[:, 0]), stops,
     )  # fmt: skip
     out = np.empty((m, 1 + len(places)))
     respond(whole, straight_model(speeds, point, setup, places), np.append(point, of_rows), places, out)
