@@ -214,10 +214,9 @@ def set_gains(
 
 
 @inner_kernel
-def step_response(k: int, ticks: int, on: "ResponseRun", z: Array, following: Array) -> None:
+def step_response(k: int, ticks: int, at: RowSpeed, on: "ResponseRun", z: Array, following: Array) -> None:
     """Fill following, (13, 1 + a): state, and its slopes, so many ticks after z, which is of tick k."""
-    model, wheel, steered = on.model, on.wheel, on.steered
-    low, share = find_speed(drive_at(on.row.ticks, k + ticks // 2, on.unknowns).u, model.speeds)
+    model, wheel, steered, (low, share) = on.model, on.wheel, on.steered, at
     step, slopes, na = model.step[ticks - 1], model.step_unknowns[ticks - 1], model.step_unknowns.shape[4]
     following[:] = 0.0
     for i in range(N_STRAIGHT):
@@ -299,23 +298,24 @@ def steer(on: ResponseRun) -> None:
 
 
 @inline_kernel
-def begin_response(k: int, on: ResponseRun) -> int:
-    """Which stop tick k is, with the rig one tick later."""
+def begin_response(k: int, on: ResponseRun) -> tuple[int, RowSpeed]:
+    """Which stop tick k is, and its speed, with the rig one tick later."""
     stop = int(on.row.stops.of_tick[k])
+    at = find_speed(drive_at(on.row.ticks, k, on.unknowns).u if stop >= 0 else 0.0, on.model.speeds)
     if stop >= 0:
-        step_response(k, 1, on, on.z, on.following)
-    return stop
+        step_response(k, 1, at, on, on.z, on.following)
+    return stop, at
 
 
 @inline_kernel
-def take_response(i: int, k: int, stop: int, on: ResponseRun) -> None:
+def take_response(i: int, k: int, stop_at: tuple[int, RowSpeed], on: ResponseRun) -> None:
     """What the rig gives in the place of a row, through the filter."""
     row, gains, places, reading, D = on.row.rows[i], on.row.gains, on.places, on.reading, on.D
     if gains.used[i] == 0.0:
         return
     na, n, kind, place = places.shape[0], D.shape[0], int(row[KIND]), int(row[PLACE])
     code = kind * PLACES + place
-    at = find_speed(drive_at(on.row.ticks, k, on.unknowns).u, on.model.speeds)
+    at = stop_at[1]
     read_response(code, instant_of(row, on.unknowns), at, on.model, on.z, on.following, reading)
     if kind == YAW_RATE:
         for j in range(na):
@@ -342,13 +342,15 @@ def take_response(i: int, k: int, stop: int, on: ResponseRun) -> None:
 
 
 @inline_kernel
-def end_response(stop: int, on: ResponseRun) -> None:
+def end_response(stop_at: tuple[int, RowSpeed], on: ResponseRun) -> None:
     """On to the next stop."""
+    stop = stop_at[0]
     if stop < 0:
         return
     first, ticks = int(on.row.stops.ticks[stop]), int(on.row.stops.ticks[stop + 1] - on.row.stops.ticks[stop])
     if ticks > 1:
-        step_response(first + 1, ticks - 1, on, on.following, on.z)
+        at = find_speed(drive_at(on.row.ticks, first + ticks // 2, on.unknowns).u, on.model.speeds)
+        step_response(first + 1, ticks - 1, at, on, on.following, on.z)
     F, D, following = on.row.gains.F[stop], on.D, on.D_following
     following[:] = 0.0
     for i in range(D.shape[0]):
@@ -388,9 +390,9 @@ def rehearse() -> None:
     """Compile both loops, by runs over one tick without a row. They call nothing of the rig's motion."""
     n, outputs, speeds, ticks, rows = len(KEPT), N_SENSORS, np.arange(2.0), np.zeros((1, 8)), np.zeros((0, 6))
     of_all, unknowns, places = np.zeros((1, 2, n, n)), np.zeros(N_UNKNOWNS), np.zeros(1, np.int64)
-    model, stops = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n)), stops_of(rows, 1)
-    of_rows = np.zeros((0, n))
-    gains = KeptGains(rows[:, 0].copy(), rows[:, 0].copy(), of_rows, of_rows, np.zeros((1, n, n)), np.zeros(0))
+    model = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n))
+    of_rows, of_row, stops = np.zeros((0, n)), np.zeros(0), stops_of(rows, 1)
+    gains = KeptGains(of_row, of_row, of_rows, of_rows, np.zeros((1, n, n)), of_row)
     set_gains(ticks, rows, np.zeros(0), unknowns, model, 0, stops, gains)
     shape, step = (2, outputs, N_STRAIGHT), (1, 2, N_STRAIGHT, N_STRAIGHT + 1)
     straight = StraightModel(

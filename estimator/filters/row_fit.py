@@ -24,6 +24,7 @@ from tilth.estimator.filters.row_filter import (
     N_ROW_UNKNOWNS,
     ZERO,
     KeptGains,
+    Stops,
     Whitened,
     respond,
     set_gains,
@@ -110,6 +111,21 @@ class RowPosterior(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class PlainRow:
+    """One row as it was measured, along north."""
+
+    ticks: Array  # (n, 8)
+    rows: Array  # (m, 6)
+    across: Array  # (m,), readings across the row
+    used: Array  # (m,), 0.0 of what is not across the row, or no number
+    flanks: Array  # (n,), of the wheel sensor's play
+    stops: Stops
+    outputs: NDArray[np.int64]  # (m,), of OUTPUTS
+    epoch: NDArray[np.int64]  # (m,), from 0 on
+    wheel_angle: Array  # (epochs,), rad
+
+
+@dataclass(frozen=True, slots=True)
 class WhitenedRow:
     """One row, whitened."""
 
@@ -189,39 +205,49 @@ def epochs_of(instants: Array) -> NDArray[np.int64]:
     return np.asarray(np.floor((instants - begin) / length), np.int64)
 
 
-def row_of(record: Record, setup: RigSetup, point: Array) -> WhitenedRow:
-    """A row, whose record has no gap, through the filter at a point, (n,), of the unknowns."""
+def plain_row(record: Record) -> PlainRow:
+    """Of a record without a gap."""
     record = along_north(record)
     rows, ticks = np.ascontiguousarray(record.rows), np.ascontiguousarray(record.ticks)
-    wheel, m, speeds = ticks[:, WHEEL_ANGLE], len(rows), tabulated(ticks)
-    used = (np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)).astype(np.float64)
-    stops, n = stops_of(rows[used > 0.0], len(ticks)), len(KEPT)
-    of_stops = np.zeros((len(stops.ticks) - 1, n, n))
-    gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)), of_stops, used)
-    model = filter_model(speeds, point, setup)
+    wheel = ticks[:, WHEEL_ANGLE]
+    used = np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)
+    instants = rows[:, TICK] * DT + rows[:, OFFSET]
+    epoch = epochs_of(instants)
+    epoch = epoch - epoch.min()
+    middle = np.bincount(epoch, instants) / np.maximum(np.bincount(epoch), 1)
+    at = np.clip(np.round(middle / DT), 0, len(ticks) - 1).astype(np.int64)
+    return PlainRow(
+        ticks, rows, across_row(record), used.astype(np.float64), flanks(wheel),
+        stops_of(rows[used], len(ticks)), output_of(rows), epoch, wheel[at],
+    )  # fmt: skip
+
+
+def whitened_row(row: PlainRow, setup: RigSetup, point: Array) -> WhitenedRow:
+    """A row through the filter at a point, (n,), of the unknowns."""
+    ticks, rows, m, n = row.ticks, row.rows, len(row.rows), len(KEPT)
+    speeds, stops = tabulated(ticks), row.stops
+    gains = KeptGains(
+        np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)),
+        np.zeros((len(stops.ticks) - 1, n, n)), row.used.copy(),
+    )  # fmt: skip
+    model, mean_reading = filter_model(speeds, point, setup), np.array([ticks[:, WHEEL_ANGLE].mean()])
     each = Whitened(
-        ticks, rows, gains, model, np.arange(m), np.ones(m), np.array([wheel.mean()]), flanks(wheel),
-        stops,
+        ticks, rows, gains, model, np.arange(m), np.ones(m), mean_reading, row.flanks, stops
     )  # fmt: skip
     response, straight = np.empty((m, 1)), straight_model(speeds, point, setup, likelihood.NOTHING)
     respond(each, straight, _of_row(point, 0.0, np.zeros(len(OF_ROWS))), likelihood.NOTHING, response)
-    left = across_row(record) - response[:, 0]
+    left = row.across - response[:, 0]
     set_gains(ticks, rows, left, point, model, likelihood.LIKELIHOOD.settling_ticks, stops, gains)
-    instants = rows[:, TICK] * DT + rows[:, OFFSET]
-    epoch = epochs_of(instants)
-    first, count, output = int(epoch.min()), int(np.ptp(epoch)) + 1, output_of(rows)
-    slots = np.where((output >= 0) & (used > 0.0), (epoch - first) * len(OUTPUTS) + output, -1)
+    count = len(row.wheel_angle)
+    slots = np.where((row.outputs >= 0) & (gains.used > 0.0), row.epoch * len(OUTPUTS) + row.outputs, -1)
     chosen = slots >= 0
     counts = np.bincount(slots[chosen], minlength=count * len(OUTPUTS))
     scales = np.zeros(m)
     scales[chosen] = 1.0 / np.sqrt(gains.S[chosen] * counts[slots[chosen]])
     e = np.bincount(slots[chosen], scales[chosen] * gains.e[chosen], minlength=count * len(OUTPUTS))
-    middle = np.bincount(epoch - first, instants, minlength=count)
-    at = np.clip(np.round(middle / np.maximum(np.bincount(epoch - first), 1) / DT), 0, len(ticks) - 1)
-    whitened = each._replace(slots=slots.astype(np.int64), scales=scales)
     present = np.mean(np.asarray(counts.reshape(count, -1) > 0, np.float64), axis=0)
-    outputs = np.asarray(e, np.float64).reshape(count, len(OUTPUTS))
-    return WhitenedRow(whitened, count, outputs, present, wheel[at.astype(np.int64)])
+    whitened = each._replace(slots=slots.astype(np.int64), scales=scales)
+    return WhitenedRow(whitened, count, e.reshape(count, len(OUTPUTS)), present, row.wheel_angle)
 
 
 class RowFit:
@@ -229,23 +255,25 @@ class RowFit:
 
     def __init__(
         self,
-        records: Sequence[Record],
+        rows: Sequence[PlainRow],
         setup: RigSetup,
         mean: Array,
         covariance: Array,
-        whitened_at: Array | None = None,
+        begin: tuple[Array, Array] | None = None,
     ) -> None:
-        """records: each longer than `least_seconds`. mean: (n,), covariance: (n, n), the prior over
-        unknowns.NAMES. whitened_at: (n,), the point of the filter, where the search begins; None: mean."""
+        """rows: each longer than `least_seconds`. mean: (n,), covariance: (n, n), the prior over
+        unknowns.NAMES. begin: as `end` of another fit, where the search begins; the filter stands at its
+        point. None: at the prior's."""
         self.setup, self.mean, self.prior_covariance = setup, mean, covariance
-        self.whitened_at = mean if whitened_at is None else whitened_at
-        self.rows = [row_of(record, setup, self.whitened_at) for record in records]
+        of_rows = [ROW_FIT.play_sd, ROW_FIT.rate_scale_sd, ROW_FIT.rate_scale_sd]
+        self.own_sd = np.array([ROW_FIT.zero_sd] * len(rows) + of_rows)
+        self.none = np.zeros(len(self.own_sd))
+        self.end = begin or (mean, self.none)
+        self.whitened_at = self.end[0]
+        self.rows = [whitened_row(row, setup, self.whitened_at) for row in rows]
         self.order = _order(self.rows, setup)
         present = np.mean([row.present for row in self.rows], axis=0)
         self.outputs = np.flatnonzero(present > ROW_FIT.present)
-        of_rows = [ROW_FIT.play_sd, ROW_FIT.rate_scale_sd, ROW_FIT.rate_scale_sd]
-        self.own_sd = np.array([ROW_FIT.zero_sd] * len(records) + of_rows)
-        self.none = np.zeros(len(self.own_sd))
         self.first = [self._respond(k, self.whitened_at, self.none)[0] for k in range(len(self.rows))]
         free = np.diag(covariance) > 0.0
         motion = np.array([name not in NOISES and name != "wheel_zero" for name in NAMES])
@@ -316,7 +344,7 @@ class RowFit:
 
     def maximise(self) -> RowPosterior:
         """The posterior: Gauss and Newton's steps, each as long as lowers the cost."""
-        start = self.at(self.whitened_at, self.none)
+        start = self.at(*self.end)
         if start is None:
             raise ValueError("the response to the wheel angle runs away where the search begins")
         start.slopes = self.slopes(start)
@@ -385,6 +413,7 @@ class RowFit:
         return (covariance + covariance.T) / 2.0
 
     def _posterior(self, at: RowPoint, steps: int, converged: bool, information: Array) -> RowPosterior:
+        self.end = at.unknowns, at.own
         mean = self.mean + self._following() @ (at.unknowns - self.mean)[self.active]
         settled = self.skip + self.order
         wheel = np.concatenate(
@@ -405,14 +434,16 @@ def fitted(records: Sequence[Record], setup: RigSetup, mean: Array, covariance: 
     implement tyres and long lengths, and there they make it sure: an sd of 5 % was 150 % off, where the row
     tells 50 %.
     """
-    problem = RowFit(records, setup, mean, covariance)
+    rows = [plain_row(record) for record in records]
+    problem = RowFit(rows, setup, mean, covariance)
     if not problem.measured:
         return None
     found, apart, steps = problem.maximise(), np.zeros(len(mean)), 0
     at_first = np.diag(problem.first_covariance)[:6]
     for _ in range(ROW_FIT.filters - 1):
         steps, before = steps + found.steps, found.mean
-        found = RowFit(records, setup, mean, covariance, before).maximise()
+        problem = RowFit(rows, setup, mean, covariance, (before, problem.end[1]))
+        found = problem.maximise()
         apart = found.mean - before
         if np.all(np.abs(apart[:6]) < ROW_FIT.same_place * np.sqrt(np.diag(found.covariance)[:6])):
             break

@@ -20,6 +20,7 @@ from tilth.estimator.filters.row_fit import (
     along_north,
     epochs_of,
     fitted,
+    plain_row,
 )
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import (
@@ -89,7 +90,7 @@ OF_ROWS_NAMES = ("play", "rate_scale_t", "rate_scale_i")
     "name", ["C_af", "C_ai", "sigma_r", "wheel_gain", "roll_k_t", "d", "lever_t", *OF_ROWS_NAMES]
 )
 def test_slopes_are_those_of_differences(name: str) -> None:
-    fit = RowFit([driven(30.0, 1, MEAN)], SETUP, MEAN, COVARIANCE)
+    fit = RowFit([plain_row(driven(30.0, 1, MEAN))], SETUP, MEAN, COVARIANCE)
     if name in OF_ROWS_NAMES:
         column = OF_ROWS_NAMES.index(name) - len(OF_ROWS_NAMES)
         step, own_step = np.zeros(len(MEAN)), 1e-4 * np.eye(len(fit.none))[column]
@@ -124,7 +125,7 @@ def test_play_of_the_wheel_sensor_is_found_and_moves_no_stiffness(monkeypatch: p
     ticks[:, WHEEL_ANGLE] += np.radians(0.02) * rng.standard_normal(len(ticks))
 
     def found(angles: Array) -> RowPosterior:
-        return RowFit([Record(0, angles, row.rows)], SETUP, MEAN, COVARIANCE).maximise()
+        return RowFit([plain_row(Record(0, angles, row.rows))], SETUP, MEAN, COVARIANCE).maximise()
 
     even, played = found(row.ticks), found(ticks)
     assert abs(even.play) < 0.4 * half and 0.5 * half < played.play < 1.3 * half
@@ -164,7 +165,7 @@ def test_no_number_is_surer_than_the_rows_make_it_at_the_priors_point() -> None:
     true = MEAN.copy()
     true[:6] += (0.0, 0.0, -0.6, 0.3, 0.3, 0.7)
     row = driven(45.0, 5, true)
-    problem = RowFit([row], SETUP, MEAN, COVARIANCE)
+    problem = RowFit([plain_row(row)], SETUP, MEAN, COVARIANCE)
     alone, found = problem.maximise(), fitted([row], SETUP, MEAN, COVARIANCE)
     assert found
     first, at_end, said = (
@@ -180,5 +181,5 @@ def test_without_receivers_on_a_body_it_says_so() -> None:
     body = record.rows[
         (record.rows[:, 3] < 2) & ~((record.rows[:, KIND] == YAW_RATE) & (record.rows[:, 3] == 1))
     ]
-    fit = RowFit([Record(0, record.ticks, body)], SETUP, MEAN, COVARIANCE)
+    fit = RowFit([plain_row(Record(0, record.ticks, body))], SETUP, MEAN, COVARIANCE)
     assert not fit.measured and len(fit.outputs) < len(OUTPUTS)
