@@ -255,7 +255,7 @@ def read_response(
             for j in range(out.shape[0]):
                 out[j] += h * (z[i, j] + late * (following[i, j] - z[i, j]))
         by = z[i, 0] + late * (following[i, 0] - z[i, 0])
-        for j in range(na):
+        for j in range(na if model.acting[code, i] != 0.0 else 0):
             out[1 + j] += by * (
                 (1.0 - share) * model.H_unknowns[low, code, i, j]
                 + share * model.H_unknowns[upper, code, i, j]
@@ -397,7 +397,8 @@ def rehearse() -> None:
     shape, step = (2, outputs, N_STRAIGHT), (1, 2, N_STRAIGHT, N_STRAIGHT + 1)
     straight = StraightModel(
         speeds, np.zeros(step), np.zeros((*step, 1)),
-        np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[:2]), np.zeros((*shape[:2], 1)),
+        np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[1:]), np.zeros(shape[:2]),
+        np.zeros((*shape[:2], 1)),
     )  # fmt: skip
     row = Whitened(
         ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1), np.zeros(1), stops

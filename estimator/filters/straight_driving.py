@@ -94,6 +94,7 @@ class StraightModel(NamedTuple):
     step_unknowns: Array  # (t, s, 13, 13 + t, a)
     H: Array  # (s, 24, 13)
     H_unknowns: Array  # (s, 24, 13, a)
+    acting: Array  # (24, 13), 0.0 where all of these are
     rest: Array  # (s, 24)
     offsets: Array  # (s, 24, a)
 
@@ -196,10 +197,11 @@ def straight_model(speeds: Array, unknowns: Array, setup: RigSetup, places: Plac
     slopes = np.zeros((*steps.shape, na))
     for k, rates in enumerate(made):
         _over_ticks(*_over_a_tick(rates.A, rates.A_unknowns), steps[:, k], slopes[:, k])
+    H_unknowns = np.ascontiguousarray(np.moveaxis(np.stack([rates.H_unknowns for rates in made]), 1, -1))
     return StraightModel(
         speeds, steps, slopes,
         np.ascontiguousarray(np.stack([rates.H[:, RESPONDING] for rates in made])),
-        np.ascontiguousarray(np.moveaxis(np.stack([rates.H_unknowns for rates in made]), 1, -1)),
+        H_unknowns, np.any(H_unknowns != 0.0, axis=(0, 3)).astype(np.float64),
         np.stack([rates.rest for rates in made]),
         np.ascontiguousarray(np.moveaxis(np.stack([rates.offsets for rates in made]), 1, -1)),
     )  # fmt: skip
