@@ -41,7 +41,7 @@ AT_PLAY: Final = N_UNKNOWNS  # half the play of the wheel sensor, rad of its rea
 AT_RATE_SCALE: Final = N_UNKNOWNS + 1  # logarithm: turn rates over true; the tractor's, the implement's
 N_ROW_UNKNOWNS: Final = N_UNKNOWNS + 3
 ZERO: Final = AT["wheel_zero"]
-STEERED: Final = [ZERO, AT["wheel_gain"], AT_LATENCY, AT_PLAY]  # that change the true wheel angle
+OF_WHEEL: Final = [ZERO, AT["wheel_gain"], AT_LATENCY, AT_PLAY]  # that change the true wheel angle
 
 
 class KeptGains(NamedTuple):
@@ -216,7 +216,7 @@ def set_gains(
 @inner_kernel
 def step_response(k: int, ticks: int, at: RowSpeed, on: "ResponseRun", z: Array, following: Array) -> None:
     """Fill following, (13, 1 + a): state, and its slopes, so many ticks after z, which is of tick k."""
-    model, wheel, steered, (low, share) = on.model, on.wheel, on.steered, at
+    model, wheel, of_wheel, (low, share) = on.model, on.wheel, on.of_wheel, at
     step, slopes, na = model.step[ticks - 1], model.step_unknowns[ticks - 1], model.step_unknowns.shape[4]
     following[:] = 0.0
     for i in range(N_STRAIGHT):
@@ -230,8 +230,8 @@ def step_response(k: int, ticks: int, at: RowSpeed, on: "ResponseRun", z: Array,
             else:
                 by = wheel[k + m - N_STRAIGHT, 0]
                 following[i, 0] += factor * by
-                for j in range(steered.shape[0]):
-                    following[i, steered[j]] += factor * wheel[k + m - N_STRAIGHT, 1 + j]
+                for j in range(of_wheel.shape[0]):
+                    following[i, of_wheel[j]] += factor * wheel[k + m - N_STRAIGHT, 1 + j]
             lower, upper = (1.0 - share) * by, share * by
             for j in range(na):
                 following[i, 1 + j] += lower * slopes[low, i, m, j] + upper * slopes[low + 1, i, m, j]
@@ -271,7 +271,7 @@ class ResponseRun(NamedTuple):
     places: Places  # (a,)
     out: Array  # (slots, 1 + a)
     wheel: Array  # (n, 1 + w), true wheel angle in each tick, and its slopes
-    steered: Places  # (w,), columns that these are of
+    of_wheel: Places  # (w,), columns that these are of
     z: Array  # (13, 1 + a), the state
     following: Array  # (13, 1 + a), one tick later
     D: Array  # (25, 1 + a), the filter's state
@@ -290,11 +290,11 @@ def steer(on: ResponseRun) -> None:
         reading = now.reading - row.mean_reading[0] + unknowns[AT_PLAY] * flank
         drive = driven_by(now.u, 0.0, reading, now.reading_rate, unknowns)
         on.wheel[k, 0] = drive.wheel
-        if on.steered.shape[0] > 0:
+        if on.of_wheel.shape[0] > 0:
             set_wheel_slopes(drive, unknowns, slopes)
             slopes[AT_PLAY] = -slopes[ZERO] * flank
-            for j in range(on.steered.shape[0]):
-                on.wheel[k, 1 + j] = slopes[on.places[on.steered[j] - 1]]
+            for j in range(on.of_wheel.shape[0]):
+                on.wheel[k, 1 + j] = slopes[on.places[on.of_wheel[j] - 1]]
 
 
 @inline_kernel
@@ -376,9 +376,9 @@ def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places
     """
     out[:] = 0.0
     columns, n = 1 + places.shape[0], row.gains.H.shape[1]
-    steered = 1 + np.flatnonzero(np.isin(places, STEERED))
+    of_wheel = 1 + np.flatnonzero(np.isin(places, OF_WHEEL))
     on = ResponseRun(
-        row, model, unknowns, places, out, np.zeros((row.ticks.shape[0], 1 + len(steered))), steered,
+        row, model, unknowns, places, out, np.zeros((row.ticks.shape[0], 1 + len(of_wheel))), of_wheel,
         np.zeros((N_STRAIGHT, columns)), np.zeros((N_STRAIGHT, columns)),
         np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_ROW_UNKNOWNS),
     )  # fmt: skip

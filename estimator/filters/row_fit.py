@@ -249,7 +249,8 @@ def whitened_row(row: PlainRow, setup: RigSetup, point: Array) -> WhitenedRow:
     e = np.bincount(slots[chosen], scales[chosen] * gains.e[chosen], minlength=count * len(OUTPUTS))
     present = np.mean(np.asarray(counts.reshape(count, -1) > 0, np.float64), axis=0)
     whitened = each._replace(slots=slots.astype(np.int64), scales=scales)
-    return WhitenedRow(whitened, count, e.reshape(count, len(OUTPUTS)), present, row.wheel_angle)
+    outputs = np.asarray(e, np.float64).reshape(count, len(OUTPUTS))
+    return WhitenedRow(whitened, count, outputs, present, row.wheel_angle)
 
 
 class RowFit:
