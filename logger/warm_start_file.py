@@ -21,7 +21,7 @@ from tilth.schemas.notices import Notice, NoticeCode, Report, notice, reasoned
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import notice_sentence
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
