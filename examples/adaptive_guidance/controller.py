@@ -1,7 +1,7 @@
 """The controller: what the daemon says of poses and soil goes in, the guidance command of ISO 11783 comes
 out.
 
-latest estimate ─► cautious parameters ─► follower's gains
+latest estimate, in patches that of the place ahead ─► cautious parameters ─► follower's gains
 pose            ─► field's plane       ─► follower ─► wheel angle ─► curvature ─► CAN, PGN 44288
 
 No clock and no wire: who owns them calls it. So the process on a rig (__main__.py) and the deterministic
@@ -9,12 +9,13 @@ loop of the study (lockstep.py) run the same lines.
 """
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from pyproj import Transformer
 
 from tilth.adaptive_guidance.follower import BodyState, Follower, MeasuredPose
-from tilth.adaptive_guidance.plan import Plan
+from tilth.adaptive_guidance.plan import STEP, Plan
 from tilth.client import Cautious, InForce, Latest, Limits, Staleness
 from tilth.estimator.models.parameters import Rig
 from tilth.schemas.decode import encode, frames_of
@@ -25,6 +26,7 @@ ADDRESS: Final = 0x80  # source address of this controller; a rig's own would cl
 STEERING: Final = 0xF0  # address of the steering ECU
 STALE: Final = Staleness(silence_s=3.0, data_s=300.0)
 LIMITS: Final = Limits(ratio=3.0, per_s=0.1, log_sd=0.3, doubt_sd=3.0)
+AHEAD_S: Final = 1.0  # that the place of which a controller asks is ahead: an estimate comes each second
 
 
 class Controller:
@@ -38,14 +40,34 @@ class Controller:
         self.follower = Follower(plan, nominal)
         self.code, self.reason = "no_pose", "no pose yet"  # why nothing is commanded; "" while it steers
         self.unusable = 0  # poses that lack something
+        self._limits = limits
         self._cautious = Cautious(nominal.theta, limits)
         self._plane = _plane(origin_deg)
         self._origin = math.nan, math.nan  # latitude and longitude of the poses' origin
         self._shift = 0.0, 0.0  # its north and east here, m
 
-    def estimate(self, latest: Latest, now: float) -> InForce:
-        """Take what may be used of the last estimate at this moment, s. Call it with each command."""
-        force = self._cautious.step(latest, now)
+    def ahead(self) -> tuple[float, float] | None:
+        """Where its rear axle will be, of which to ask `estimate_at`: m, in the plane of the last pose."""
+        speed, plan = self.follower.speed, self.follower.plan
+        if speed is None:
+            return None
+        at = min(round(self.follower.station + speed * AHEAD_S / STEP), len(plan.row) - 1)
+        x, y, heading = plan.tractor[at].tolist()
+        b, (north, east) = self.follower.rig.b, self._shift
+        return x - b * math.cos(heading) - north, y - b * math.sin(heading) - east
+
+    def estimate(self, latest: Latest, now: float, ahead: Latest | None = None) -> InForce:
+        """Take what may be used of the last estimate at this moment, s. Call it with each command.
+
+        ahead: what `estimate_at` says of the place `ahead`; used while numbers of a place are recommended.
+        Where little was told of a place, its mean is near the file's already (kriging), so that the rest of
+        the way is not doubted once more.
+        """
+        of_place = ahead is not None and latest.estimate is not None and latest.estimate.of_place is not None
+        self._cautious.limits = (
+            replace(self._limits, log_sd=math.inf, doubt_sd=0.0) if of_place else self._limits
+        )
+        force = self._cautious.step(ahead if of_place and ahead is not None else latest, now)
         self.follower.theta = force.theta
         return force
 
