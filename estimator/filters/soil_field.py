@@ -179,14 +179,14 @@ class At(NamedTuple):
     length_m: float  # over which soil is alike
 
 
-class Asked(NamedTuple):
+class AskedGround(NamedTuple):
     """What is asked of a place, besides where it is."""
 
     t_ns: int | None = None  # when; None: when what was told last began
     worked: Array | None = None  # share of each axle's ground that had been worked before, (3,); None: none
 
 
-LAST: Final = Asked()
+LAST: Final = AskedGround()
 _OF_AXLES: Final = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
 """Correlation of what axles have in common."""
 
@@ -383,7 +383,7 @@ class SoilMemory:
         """Probability that soil differs by more than the least of the sds."""
         return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.sd == min(SOIL_FIELD.sds))
 
-    def at(self, place: Array, asked: Asked = LAST) -> At:
+    def at(self, place: Array, asked: AskedGround = LAST) -> At:
         """At a place of the rig, or on average over a path: north and east of each axle, (..., 3, 2), m."""
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
         near = self._near(place, asked)
@@ -416,7 +416,7 @@ class SoilMemory:
             second += one.weight * (left + here[:, :, None] * here[:, None, :])
         return mean, second - mean[:, :, None] * mean[:, None, :]
 
-    def elsewhere(self, place: Array, asked: Asked = LAST) -> Array:
+    def elsewhere(self, place: Array, asked: AskedGround = LAST) -> Array:
         """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what
         is learned without place has this error besides. Of the stiffnesses."""
         there, near = self.at(place, asked), self._near(place)
@@ -430,7 +430,7 @@ class SoilMemory:
         left[:AXLES, :AXLES] = axes * np.maximum(sizes, 0.0) @ axes.T
         return left
 
-    def _near(self, place: Array, asked: Asked = LAST) -> "_Near":
+    def _near(self, place: Array, asked: AskedGround = LAST) -> "_Near":
         there = place.reshape(1, -1, AXLES, 2).transpose(0, 2, 1, 3)
         apart, own = _apart(self._places, there), _apart(there, there)
         kinds = {
@@ -458,7 +458,9 @@ class SoilMemory:
         own[:AXLES, :AXLES] += near.worked[:, None] * by_work
         return cross, own
 
-    def shares(self, place: Array, chosen: Sequence[bool], asked: Asked = LAST) -> tuple[float, float, float]:
+    def shares(
+        self, place: Array, chosen: Sequence[bool], asked: AskedGround = LAST
+    ) -> tuple[float, float, float]:
         """By how much the chosen windows, then the others, narrow the stiffnesses at a place, over their
         prior's sd, and what is left of it; mean of the three. They add up to 1."""
         one = max(self._hypotheses, key=lambda hypothesis: hypothesis.weight)

@@ -20,7 +20,7 @@ from tilth.estimator.filters import soil_field, unknowns
 from tilth.estimator.filters.soil_field import (
     AXLES,
     SOIL_FIELD,
-    Asked,
+    AskedGround,
     SoilMemory,
     SoilWindow,
     WorkedPoint,
@@ -57,7 +57,7 @@ class PlaceTuning:
     track: int = tuned(
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
     )
-    way: int = tuned(1500, "corners", "of the worked way: some hundred passes")
+    way: int = tuned(1500, "positions", "of corners of the worked way: some hundred passes")
     straight_m: float = tuned(0.3, "m", "off the line to the next: a place of the worked way is no corner")
     turned: float = tuned(math.radians(120.0), "rad", "from the heading of a pass: the next one begins")
     patchy: float = tuned(
@@ -261,7 +261,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
 
 def _expects_change(soil: SoilMemory, window: SoilWindow) -> bool:
     """Whether soil on its way is known, or is known to differ from place to place."""
-    there = soil.at(window.path, Asked(window.begin_ns, window.worked))
+    there = soil.at(window.path, AskedGround(window.begin_ns, window.worked))
     return soil.patchy > PLACE.patchy or _common_sd(there) < PLACE.known_sd
 
 
@@ -283,7 +283,7 @@ def _common_sd(there: soil_field.At) -> float:
 
 def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
     """By which factors a window tells otherwise than was expected of its way."""
-    expected = before.at(window.path, Asked(window.begin_ns, window.worked))
+    expected = before.at(window.path, AskedGround(window.begin_ns, window.worked))
     weak = np.diag(before.prior_sd**-2.0)
     found = np.linalg.inv(window.told.information + weak)
     variances = np.diag(found) + np.diag(expected.covariance)
@@ -331,12 +331,13 @@ def estimate_at(
     covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
     of_place, patchy = None, 0.0
     if axles is not None and state.windows and state.origin_deg is not None:
-        soil, asked = _soil(state), Asked(t_ns, worked(state, machine, axles))
+        soil, asked = _soil(state), AskedGround(t_ns, worked(state, machine, axles))
         there, patchy = soil.at(axles, asked), soil.patchy
         mean[SIX] += there.mean
         covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
         shares = soil.shares(axles, [window.passing == state.passing for window in soil.windows], asked)
-        of_place = SoilPlace(*to_degrees(state.origin_deg, *axles[1].tolist()), there.length_m, *shares)
+        at = to_degrees(state.origin_deg, *axles[1].tolist())
+        of_place = SoilPlace(*at, there.length_m, *shares, tuple(mean[SIX].tolist()))
     learned = SixState(
         mean, covariance, state.prior_mean, state.prior_sd,
         informed_ns=state.informed_ns if of_place else 0, window_s=state.window_s, has_number=had,
@@ -355,9 +356,9 @@ def elsewhere(state: PlaceState) -> Array:
     return _soil(state).elsewhere(state.axles, _asked(state))
 
 
-def _asked(state: PlaceState) -> Asked:
+def _asked(state: PlaceState) -> AskedGround:
     """Of where the rig is now."""
-    return Asked(worked=state.track[-1].worked) if state.track else Asked()
+    return AskedGround(worked=state.track[-1].worked) if state.track else AskedGround()
 
 
 def _soil(state: PlaceState) -> SoilMemory:

@@ -17,15 +17,18 @@ from pyproj import Transformer
 from tilth.adaptive_guidance.follower import BodyState, Follower, MeasuredPose
 from tilth.adaptive_guidance.plan import STEP, Plan
 from tilth.client import Cautious, InForce, Latest, Limits, Staleness
+from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig
+from tilth.estimator.results.recommend import PATCHY, RECOMMENDATION
 from tilth.schemas.decode import encode, frames_of
-from tilth.schemas.flow import BodyPose, Pose, Word
+from tilth.schemas.flow import BodyPose, Pose, Status, Word
 
 COMMAND: Final = 44288
 ADDRESS: Final = 0x80  # source address of this controller; a rig's own would claim one
 STEERING: Final = 0xF0  # address of the steering ECU
 STALE: Final = Staleness(silence_s=3.0, data_s=300.0)
 LIMITS: Final = Limits(ratio=3.0, per_s=0.1, log_sd=0.3, doubt_sd=3.0)
+PLACE_DOUBT_SD: Final = 1.0  # where soil is in patches
 AHEAD_S: Final = 1.0  # that the place of which a controller asks is ahead: an estimate comes each second
 
 
@@ -59,15 +62,14 @@ class Controller:
     def estimate(self, latest: Latest, now: float, ahead: Latest | None = None) -> InForce:
         """Take what may be used of the last estimate at this moment, s. Call it with each command.
 
-        ahead: what `estimate_at` says of the place `ahead`; used while numbers of a place are recommended.
-        Where little was told of a place, its mean is near the file's already (kriging), so that the rest of
-        the way is not doubted once more.
+        ahead: what `estimate_at` says of the place `ahead`; used while soil is thought to be in patches. Its
+        means are used, also where they are too uncertain to be given as numbers: they are of all axles, and
+        where little was told near the file's already (kriging), so that there is less left to doubt.
         """
-        of_place = ahead is not None and latest.estimate is not None and latest.estimate.of_place is not None
-        self._cautious.limits = (
-            replace(self._limits, log_sd=math.inf, doubt_sd=0.0) if of_place else self._limits
-        )
-        force = self._cautious.step(ahead if of_place and ahead is not None else latest, now)
+        told = None if ahead is None else _of_means(ahead)
+        of_place = replace(self._limits, log_sd=math.inf, doubt_sd=min(self._limits.doubt_sd, PLACE_DOUBT_SD))
+        self._cautious.limits = self._limits if told is None else of_place
+        force = self._cautious.step(latest if told is None else told, now)
         self.follower.theta = force.theta
         return force
 
@@ -104,6 +106,20 @@ class Controller:
             return None
         north, east = self._shift
         return BodyState(x + north, y + east, heading, v, r, body.roll or 0.0)
+
+
+def _of_means(ahead: Latest) -> Latest | None:
+    """With the means of a place for numbers; None where there are none, or soil is hardly in patches."""
+    one = ahead.estimate
+    if one is None or one.of_place is None or not one.of_place.log_mean:
+        return None
+    if one.excitation.get(PATCHY, 0.0) <= RECOMMENDATION.patchy:
+        return None
+    parameters = tuple(
+        replace(p, value=math.exp(log), status=Status.ESTIMATED)
+        for p, log in zip(one.parameters, one.of_place.log_mean, strict=True)
+    )
+    return judge(replace(one, parameters=parameters), ahead.age_s, STALE)
 
 
 def _frames(words: dict[str, Word]) -> list[tuple[int, bytes]]:

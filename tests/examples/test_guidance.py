@@ -176,21 +176,26 @@ def test_what_may_not_be_used_brings_back_the_nominal_gains_smoothly(
 
 
 def test_in_patches_it_steers_for_the_soil_ahead(line: Plan, nominal: Rig) -> None:
-    """Without doubt on top: a mean of a place is as near the file's as little is known there."""
-    here = replace(estimate(1.0), of_place=SoilPlace(*ORIGIN_DEG, 30.0, 0.2, 0.2, 0.6))
-    told, there = {}, replace(estimate(0.6), log_covariance=tuple((0.09 * np.eye(6)).ravel().tolist()))
-    for of_place in (True, False):
+    """By its mean, also where that is too wide for a number, and not where soil is hardly in patches."""
+    means, wide = tuple(np.log(0.6 * nominal.theta).tolist()), tuple((0.2 * np.eye(6)).ravel().tolist())
+    blank = [replace(p, value=None, sd=None, status=Status.UNESTIMATED) for p in estimate(0.6).parameters]
+    there = replace(
+        estimate(0.6), parameters=tuple(blank), log_covariance=wide,
+        of_place=SoilPlace(*ORIGIN_DEG, 30.0, 0.2, 0.2, 0.6, means),
+    )  # fmt: skip
+    told = {}
+    for patchy in (0.9, 0.4):
         subject = Controller(line, nominal, ORIGIN_DEG)
         assert subject.ahead() is None
         subject.pose(pose(0.2, x=20.0 + nominal.b), 0.2)
         assert subject.ahead() == pytest.approx((24.5, 0.0), abs=0.1)
-        last = here if of_place else replace(here, of_place=None)
+        ahead = judge(replace(there, excitation={"patchy": patchy}), 0.1, STALE)
         for k in range(100):
-            force = subject.estimate(judge(last, 0.1, STALE), 0.1 * k, judge(there, 0.1, STALE))
-        told[of_place] = np.log(force.theta / nominal.theta)
-    assert told[True] == pytest.approx(np.full(6, math.log(0.6))) and told[False] == pytest.approx(
-        np.zeros(6)
-    )
+            force = subject.estimate(judge(estimate(1.0), 0.1, STALE), 0.1 * k, ahead)
+        told[patchy] = np.log(force.theta / nominal.theta)
+    distance = abs(math.log(0.6)) * math.sqrt(6.0 / 0.2)
+    assert told[0.9] == pytest.approx(np.full(6, math.log(0.6)) * (1.0 - 1.0 / distance))
+    assert told[0.4] == pytest.approx(np.zeros(6))
 
 
 @pytest.mark.parametrize(
