@@ -146,6 +146,9 @@ class Implement(_Section):
         description="of how far forward the middle of its receivers is, m; else it follows from survey_sd",
     )
     ballast: list[Ballast] = Field(default=[], description="what mass, CG and yaw_inertia are without")
+    working_width: float = Field(
+        default=0.0, ge=0, description="of the ground that it works about its axle, m; 0: not told"
+    )
 
 
 class Tyre(_Section):
