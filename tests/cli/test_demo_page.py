@@ -15,13 +15,6 @@ from tilth.logger.child import words_of
 from tilth.logger.job import Job
 
 
-def test_an_address_of_no_computer_is_told_in_a_sentence() -> None:
-    words = words_of(demo_page.__name__, "tcp/127.0.0.1:1", "nonsense")
-    ended = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert ended.returncode == 1 and ended.stderr.count("\n") == 1
-    assert ended.stderr.startswith("tilth demo: --host nonsense: ") and "0.0.0.0" in ended.stderr
-
-
 @pytest.mark.long
 def test_a_recorded_drive_is_shown_until_the_daemon_is_ready() -> None:
     with Stage(rate=4.0) as stage:
