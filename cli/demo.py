@@ -28,10 +28,8 @@ if TYPE_CHECKING:  # with the estimators: what is wrong, and what is done, is sa
 _say = partial(say, "demo")
 
 WHAT: Final = (
-    "a simulated tractor pulls an implement over a field. Its GPS receivers and its wheel angle are recorded as "
-    "on a real one",
-    "from them is learned how firmly soil holds the tyres. It knows nothing yet: the first numbers come after "
-    "some 15 s of driving",
+    "a simulated tractor pulls an implement over a field; what its sensors say is recorded as on a real one",
+    "out of it is learned how firmly soil holds the tyres; first numbers come after some 15 s of driving",
 )
 
 STAYING_S: Final = 0.2  # between two looks whether the page is to stay

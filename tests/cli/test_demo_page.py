@@ -1,7 +1,6 @@
 """The page of a demo: a recorded drive until the daemon is ready, then it, then what the demo gave."""
 
 import json
-import subprocess
 from contextlib import closing
 from typing import Any
 

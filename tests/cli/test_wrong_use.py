@@ -11,7 +11,7 @@ import pytest
 from logs import MACHINE_FILE, some_frames, write_mcap
 from loopback import PATIENCE_S
 
-from tilth.cli import COMMANDS, RECORDERS, main
+from tilth.cli import COMMANDS, main
 from tilth.schemas.invocation import command
 
 NOWHERE = "tcp/127.0.0.1:1"
