@@ -29,6 +29,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """1 where there is a problem."""
     machine = read_machine(args.machine).machine
+    from tilth.logger.can.bus_opening import check_interfaces
+
+    check_interfaces(machine)
     if not args.json:
         print(DRAWING, flush=True)
     from tilth.logger.checks.check import check  # with the estimators, which take a second

@@ -44,6 +44,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost, not recorded, or none came at all."""
     rigs = read_rigs(args.machine)
+    from tilth.logger.can.bus_opening import check_interfaces
+
+    check_interfaces(next(iter(rigs.values())).machine)
     with contextlib.suppress(OSError):
         print(f"{args.machine}: starting", flush=True)
     from tilth.logger.daemon import run_daemon
