@@ -15,7 +15,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 28
+VERSION: Final = 29
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 

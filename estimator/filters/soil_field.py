@@ -122,7 +122,7 @@ class SoilWindow:
 
     method: str
     begin_ns: int
-    passing: int  # number of the pass
+    passing: int  # number of the pass; -1: of an earlier run
     path: Annotated[Array, Shape((-1, AXLES, 2))]  # north and east of each axle, m, at places along it
     told: Told
     epoch: int = 0  # number of the changes in time before it
