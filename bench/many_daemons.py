@@ -58,7 +58,6 @@ def config_of(mode: str, endpoint: str, patient: bool = False) -> zenoh.Config:
     config = zenoh.Config()
     settings: dict[str, Any] = {"mode": mode, "scouting/multicast/enabled": False}
     if patient:
-        settings["transport/link/tx/queue/size/data"] = 16
         settings["transport/link/tx/queue/congestion_control/drop/wait_before_drop"] = 100_000
     settings["listen/endpoints" if mode == "router" else "connect/endpoints"] = [endpoint]
     for key, value in settings.items():

@@ -23,11 +23,11 @@ import json
 import math
 import multiprocessing
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -136,9 +136,10 @@ def make(folder: Path, hours: float, minutes: float, processes: int) -> None:
         pool.map(made, tasks, chunksize=1)
 
 
-def identify(folder: Path, out: Path, workers: int) -> tuple[float, float, float]:
-    """(seconds by the clock, of the processor, MB of the largest process), all processes of the command."""
-    words = ["season", str(folder), "--out", str(out), "--workers", str(workers), "--json"]
+def identify(folder: Path, out: Path, *by: str) -> tuple[float, float, float]:
+    """(seconds by the clock, of the processor, MB of the largest process), all processes of the command.
+    by: who computes."""
+    words = ["season", str(folder), "--out", str(out), *by, "--json"]
     start = "import sys; from tilth.cli import main; sys.exit(main())"
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     subprocess.run([sys.executable, "-c", start, *words], check=True, stdout=subprocess.DEVNULL)
@@ -147,20 +148,32 @@ def identify(folder: Path, out: Path, workers: int) -> tuple[float, float, float
     return took, cpu, after.ru_maxrss / 1e3
 
 
-def run(folder: Path, numbers: list[int]) -> None:
-    with tempfile.TemporaryDirectory(dir=folder.parent) as beside:
-        for workers in numbers:
-            out = Path(beside) / f"out{workers}"
-            took, cpu, megabytes = identify(folder, out, workers)
+def run(folder: Path, numbers: list[int], dask: bool) -> None:
+    with tempfile.TemporaryDirectory(dir=folder.parent) as beside, ExitStack() as stack:
+        ways = [(f"{n} workers", ("--workers", str(n))) for n in numbers]
+        if dask:
+            from distributed import LocalCluster
+
+            cluster = LocalCluster(
+                n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+            )  # type: ignore[no-untyped-call]
+            stack.enter_context(cluster)
+            by_dask = ("--dask", cluster.scheduler_address)
+            ways.append(("2 workers of Dask, whose processors are not counted", by_dask))
+        tables = set()
+        for name, by in ways:
+            out = Path(beside) / name.split(",")[0]
+            took, cpu, megabytes = identify(folder, out, *by)
             hours = json.loads((out / "season.json").read_text())["seconds"] / 3600
-            again, _, _ = identify(folder, out, workers)
+            again, _, _ = identify(folder, out, *by)
             print(
-                f"{workers} workers: {hours:.2f} h of driving in {took:.0f} s, {cpu:.0f} s of the processor: "
+                f"{name}: {hours:.2f} h of driving in {took:.0f} s, {cpu:.0f} s of the processor: "
                 f"{3600 * hours / cpu:.1f} × real time a core, {3600 * hours / took:.1f} × by the clock; "
-                f"largest process {megabytes:.0f} MB; once more with nothing to do {again:.1f} s"
+                f"largest process {megabytes:.0f} MB; once more with nothing to do {again:.1f} s; "
+                f"{sum(file.stat().st_size for file in out.rglob('*') if file.is_file()) / 1e6:.1f} MB kept",
+                flush=True,
             )
-            shutil.copy(out / "stretches.parquet", Path(beside) / f"{workers}.parquet")
-        tables = {(Path(beside) / f"{workers}.parquet").read_bytes() for workers in numbers}
+            tables.add((out / "stretches.parquet").read_bytes())
         print("the tables are the same bytes" if len(tables) == 1 else "THE TABLES DIFFER")
 
 
@@ -198,7 +211,7 @@ def held(out: Path) -> None:
     for way in ("alone", "forward", "season"):
         cells = [
             f"{name} {100 * np.mean(np.abs(z) <= WITHIN):.0f} % of {len(z)} (median sd "
-            f"{100 * np.median(scores[f'{way} sd', name]):.0f} %)"
+            f"{100 * np.median(scores[f'{way} sd', name]):.0f} %, error over sd {np.sqrt(np.mean(z**2)):.2f})"
             for name in PARAMETERS
             if (z := np.array(scores.get((way, name), []))).size
         ]
@@ -217,12 +230,13 @@ def main() -> None:
     running = ways.add_parser("run")
     running.add_argument("folder", type=Path)
     running.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    running.add_argument("--dask", action="store_true", help="and by a Dask cluster of this computer")
     ways.add_parser("held").add_argument("out", type=Path)
     args = parser.parse_args()
     if args.what == "make":
         make(args.folder, args.hours, args.minutes, args.processes)
     elif args.what == "run":
-        run(args.folder, args.workers)
+        run(args.folder, args.workers, args.dask)
     else:
         held(args.out)
 
