@@ -1,6 +1,6 @@
 """What is a map of the field worth in the cab? Seconds after a headland until the tyres are known to 5 %.
 
-    python bench/field_map.py [--count 4] [--first 60] [--minutes 6]
+    python bench/field_map.py [--count 4] [--first 60] [--minutes 6] [--one-soil]
 
 Each field of bench/patches.py is driven twice, a day apart, on soil that is all day a little softer or firmer
 (10 %). Of the first day the memory by place is kept, as `tilth map` writes it. The second day is followed
@@ -37,9 +37,9 @@ METHODS: Final = ("tracker", "place", "recommended")
 PSI: Final = list(STATES).index("psi_t")
 
 
-def day(machine: Machine, k: int, number: int, minutes: float) -> Driven:
+def day(machine: Machine, k: int, number: int, minutes: float, one_soil: bool) -> Driven:
     """Day number 0 or 1 on field k."""
-    asked = scenario_for(k, minutes)
+    asked = scenario_for(k, minutes, one_soil)
     asked = replace(asked, rig_seed=k, soil=replace(asked.soil, patch_seed=k))
     usual = drive(machine, k, 1.0, asked).parameters
     factor = math.exp(DAY_SD * float(np.random.default_rng([58, k, number]).standard_normal()))
@@ -118,11 +118,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=4, help="fields")
     parser.add_argument("--first", type=int, default=60, help="number of the first")
     parser.add_argument("--minutes", type=float, default=6.0, help="of each day")
+    parser.add_argument("--one-soil", action="store_true", help="without patches and wet end")
     args = parser.parse_args()
     machine = estimation_runs.machine()
     ways: dict[str, list[tuple[Array, float, float]]] = {}
     for k in range(args.first, args.first + args.count):
-        of_field, later = map_of(day(machine, k, 0, args.minutes)), day(machine, k, 1, args.minutes)
+        first, later = (day(machine, k, number, args.minutes, args.one_soil) for number in (0, 1))
+        of_field = map_of(first)
         for way, field_map in (("without", None), ("with", of_field)):
             found = told(later, field_map)
             for method in METHODS:

@@ -68,9 +68,10 @@ def config_of(mode: str, endpoint: str, patient: bool = False) -> zenoh.Config:
 def route(endpoint: str, patient: bool, ready: Event, over: Event, told: Any) -> None:
     """A process: the router."""
     with zenoh.open(config_of("router", endpoint, patient)):
+        before = cpu_s()
         ready.set()
         over.wait()
-    told.put(("router", cpu_s(), resident_mb()))
+        told.put(("router", cpu_s() - before, resident_mb()))
 
 
 def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> None:
@@ -80,6 +81,7 @@ def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> N
         writer, channels = Writer(stream, compression=CompressionType.ZSTD), dict[str, int]()
         writer.start()
         subscriber = session.declare_subscriber(f"{ROOT}/**", came.put)
+        before = cpu_s()
         ready.set()
         while not over.is_set() or not came.empty():
             if came.empty():
@@ -92,7 +94,7 @@ def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> N
             writer.add_message(channels[key], t_ns, sample.payload.to_bytes(), t_ns)
         subscriber.undeclare()
         writer.finish()
-    told.put(("recorder", cpu_s(), resident_mb()))
+    told.put(("recorder", cpu_s() - before, resident_mb()))
 
 
 def publish(
@@ -195,7 +197,8 @@ def main() -> None:
         f"({100 * (sent - got) / sent:.2f} %); {written / max(got, 1):.0f} bytes each"
     )
     for name, cpu, megabytes, *_ in (*others, *daemons):
-        print(f"    {name}: {100 * cpu / args.seconds:.0f} % of a core, {megabytes:.0f} MB")
+        each = f"{100 * cpu / args.seconds:.1f} % of a core, {1e6 * cpu / sent:.1f} us for each value of all"
+        print(f"    {name}: {each}, {megabytes:.0f} MB")
     print(f"    the daemons were behind their time by {max(one[5] for one in daemons):.2f} s at most")
 
 
