@@ -351,6 +351,10 @@ class Estimation(_Section):
         default=False,
         description="also fit by the dissertation's two steps, to compare with: costs half as much as pem",
     )
+    field_map: str | None = Field(
+        default=None,
+        description="file of what a season has told of a field, by `tilth map`: a prior of place and tracker",
+    )
 
 
 class Machine(_Section):

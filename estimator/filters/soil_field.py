@@ -130,7 +130,7 @@ class SoilWindow:
 
     method: str
     begin_ns: int
-    passing: int  # number of the pass
+    passing: int  # number of the pass; -1: of an earlier run
     path: Annotated[Array, Shape((-1, AXLES, 2))]  # north and east of each axle, m, at places along it
     told: Told
     epoch: int = 0  # number of the changes in time before it
@@ -168,13 +168,13 @@ class KeptSoil:
 
     @property
     def finite(self) -> bool:
-        return all(
-            np.all(np.isfinite(part))
-            for w in self.windows
-            for part in (
-                w.path, w.told.information, w.told.vector, w.told.model_sd, w.told.within, w.worked,
-            )  # fmt: skip
-        ) and all(np.all(np.isfinite(point.place)) for point in self.way)
+        def numbers(w: SoilWindow) -> tuple[Array, ...]:
+            told = w.told
+            return w.path, told.information, told.vector, told.model_sd, told.within, w.worked
+
+        return all(np.all(np.isfinite(part)) for w in self.windows for part in numbers(w)) and all(
+            np.all(np.isfinite(point.place)) for point in self.way
+        )
 
 
 class At(NamedTuple):
