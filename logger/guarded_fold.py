@@ -18,6 +18,7 @@ from tilth.estimator.fold import (
     accept,
     adopt,
     carry,
+    carry_load,
     decide,
     estimate_at,
     finish,
@@ -40,6 +41,7 @@ from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
     PARAMETERS,
     Accepted,
+    Carried,
     Estimate,
     Event,
     EventKind,
@@ -94,8 +96,9 @@ class GuardedFold:
         self._machine = machine
         self._fitter = fitter or InPlace(machine)
         self._hear_fit = hear_fit
-        if self.state.accepted:
-            self._fitter.use(self.state.machine)
+        self._rig = machine  # that the fitter knows
+        if self.state.machine is not machine:
+            self._use_rig()
         self._decided: list[tuple[FitOutcome, object]] = []  # outcomes to be used at the next frame
         for method, job, due_ns in pending(self.state):
             decided = self.state.estimators[method].decided
@@ -150,7 +153,22 @@ class GuardedFold:
             publications = accept(self.state, accepted)
         except Exception as error:  # the same edge as in `take`
             publications = self._start_anew(accepted.t_ns, error)
-        self._fitter.use(self.state.machine)
+        return self._with_another_rig(publications)
+
+    def carry_load(self, carried: Carried) -> list[tuple[Publication, bytes]]:
+        """Use what the operator has said of the implement's load, which the caller has logged."""
+        try:
+            publications = carry_load(self.state, carried)
+        except Exception as error:  # the same edge as in `take`
+            publications = self._start_anew(carried.t_ns, error)
+        return self._with_another_rig(publications)
+
+    def _use_rig(self) -> None:
+        self._rig = self.state.machine
+        self._fitter.use(self._rig)
+
+    def _with_another_rig(self, publications: list[Publication]) -> list[tuple[Publication, bytes]]:
+        self._use_rig()
         self._decided.clear()
         self._due_ns = self._first_due_ns()
         self.estimates = dict(self.state.estimates)
@@ -199,6 +217,10 @@ class GuardedFold:
                 publications = self._adopt(log_time.on_log_clock(self.state.time, frame).t_ns)
             poses = self.state.poses
             publications += step(self.state, frame)
+            if self.state.machine is not self._rig:  # a scale has told of another load
+                self._use_rig()
+                self._decided.clear()
+                self._due_ns = self._first_due_ns()
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
             if self._due_ns is not None:
@@ -338,7 +360,7 @@ class GuardedFold:
             if accepted:
                 ready, self.state = self.state.ready, initial(self._machine, accepted)
                 self.state.ready = ready
-                self._fitter.use(self.state.machine)
+                self._use_rig()
             refusals = resume(self.state, learned, elapsed_s, t_ns)
             carry(self.state, moved)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
@@ -354,6 +376,7 @@ class GuardedFold:
         try:
             text = snapshot(self.state)
             self.state = restore(self._machine, text)
+            self._rig = self.state.machine  # the same, made anew
         except Exception:  # the same edge: beginning a log file must not end the run; `faults` is shown
             self._give_up()
             text = snapshot(self.state)
@@ -368,7 +391,7 @@ class GuardedFold:
         self._due_ns = None
 
     def _initial(self) -> State:
-        state = initial(self._machine, self.state.accepted)
+        state = initial(self._machine, self.state.accepted, self.state.carried)
         state.ready = self.state.ready
         carry(state, self.state.diagnosis.watch.moved)
         recall(state, self.known_addresses)  # nobody claims anew because of a fault here

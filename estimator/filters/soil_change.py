@@ -7,6 +7,7 @@ addition. The statistic is the likelihood ratio of the best c against c = 0, a c
 freedom.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -37,6 +38,11 @@ class SoilChangeTuning:
     most_change: float = tuned(1.6, "1", "of a logarithm: no soil changes by more than five times")
     known_sd: float = tuned(0.2, "1", "largest sd of a logarithm before, for its change to be detected")
     most_checkpoints: int = tuned(10, "checkpoints", "that are stored, 4 s")
+    soil_sd: float = tuned(0.4, "1", "of a stiffness' logarithm, by which other soil changes it")
+    common: float = tuned(0.8, "1", "share of that variance that all axles have in common")
+    couples: float = tuned(0.05, "1", "of a logarithm, by which another mass moves what it should not")
+    rounding: float = tuned(1e-3, "1", "of a logarithm: less cannot be told apart")
+    sure: float = tuned(math.log(20.0), "nats", "likelier by which the one change is told from the other")
     checkpoint_segments: int = tuned(2, "segments", "between two of them")
 
 
@@ -59,6 +65,7 @@ class Change:
 
     ratio: float  # twice the logarithm of its likelihood ratio
     logs: Array  # [6]
+    since: Checkpoint
 
 
 def limit(uneven: float) -> float:
@@ -89,4 +96,25 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     )
     ratio = np.where(valid, likeliest * (2.0 * score - likeliest * information), 0.0)
     k, d = np.unravel_index(np.argmax(ratio), ratio.shape)
-    return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d])
+    return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d], checkpoints[k])
+
+
+def odds_of_load(moved: Array, covariance: Array, answer: Array, by_load: Array) -> float:
+    """Logarithm of how much likelier a change of the implement's load makes it than one of the soil, that a
+    posterior's mean has moved so.
+
+    moved: (6,). covariance: (6, 6), by which it moves without a change; answer: (6, 6), by how much it follows
+    a change; by_load: (6, 6), covariance of the six by another load. Other soil changes all stiffnesses together,
+    and each axle's a little besides.
+    """
+    floor = np.diag([SOIL_CHANGE.couples**2] * 6)
+    soil = np.zeros((6, 6))
+    share = SOIL_CHANGE.common
+    soil[:3, :3] = SOIL_CHANGE.soil_sd**2 * (share + (1.0 - share) * np.eye(3))
+    likelihoods = []
+    for change in (by_load, soil):
+        total = covariance + answer @ (change + floor) @ answer.T
+        total += np.diag(np.full(6, SOIL_CHANGE.rounding**2))
+        _, log_determinant = np.linalg.slogdet(total)
+        likelihoods.append(-0.5 * (float(moved @ np.linalg.solve(total, moved)) + log_determinant))
+    return likelihoods[0] - likelihoods[1]

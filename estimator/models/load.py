@@ -1,0 +1,132 @@
+"""What an implement carries: the rig with it, and how long what was said of it is true.
+
+Tyres grow stiffer with their load, C ~ load^n, so an implement's stiffness over its mass moves with m^(n - 1):
+by 1.5 from 8 t to 2 t at n = 0.7, not at all at n = 1. That is what driving sees of a load; its mass alone it
+does not tell. So between two words of who knows it, the logarithm of the mass is a random walk.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.estimator.models.upright import UPRIGHT
+from tilth.estimator.tuning import tuned
+from tilth.schemas.ballast import carrying
+from tilth.schemas.flow import Carried, LoadSource
+from tilth.schemas.machine import Load, Machine, Quantity, Tyre, Tyres
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadTuning:
+    """How loads change, and what that does to tyres."""
+
+    lasts_s: float = tuned(1800.0, "s", "of driving, in which a load that nobody weighs may become any other")
+    weighed: float = tuned(0.02, "1", "sd of a scale, over the mass of the implement with its load")
+    change: float = tuned(0.1, "1", "of the logarithm of that mass, by which a scale's word is used at once")
+    small_change: float = tuned(0.02, "1", "the same, by which it is used after `settled_s`")
+    settled_s: float = tuned(30.0, "s", "after a word of the scale's was used")
+    smoothed_s: float = tuned(3.0, "s", "over which a scale's words are averaged: on rough ground they dance")
+    relaxation: float = tuned(0.3, "1", "sd of how a relaxation length's logarithm follows that of its load")
+    most: float = tuned(0.95, "1", "largest load, over the mass of the implement with it")
+    beyond: float = tuned(1.2, "1", "most that is carried, over what a full one does")
+
+
+LOAD: Final = LoadTuning()
+
+
+def laden(machine: Machine, carried: Carried | None) -> Machine:
+    """The rig with what its implement carries. machine: with the empty one; itself where it carries nothing."""
+    if carried is None or machine.implement.load is None:
+        return machine
+    full = carrying(machine, Quantity(value=carried.mass, sd=carried.sd))
+    heavier = np.exp(heavier_by(machine, full))
+    exponent = machine.implement.load.exponent.value
+    axles = {
+        name: _tyre(getattr(machine.tyres, name), factor, exponent)
+        for name, factor in zip(Tyres.model_fields, heavier.tolist(), strict=True)
+    }
+    return full.model_copy(update={"tyres": machine.tyres.model_copy(update=axles)})
+
+
+def _tyre(tyre: Tyre, heavier: float, exponent: float) -> Tyre:
+    """As the prior has it, under a load that is heavier by a factor. Its spring stays what it is."""
+    told = tyre.deflection
+    if told is None and tyre.size is None:
+        sd = UPRIGHT.deflection * UPRIGHT.deflection_log_sd
+        told = Quantity(value=UPRIGHT.deflection, sd=sd)
+    stiffness = tyre.cornering_stiffness * heavier**exponent
+    pressed = told and Quantity(value=told.value * heavier, sd=told.sd * heavier)
+    return tyre.model_copy(update={"cornering_stiffness": stiffness, "deflection": pressed})
+
+
+def heavier_by(before: Machine, after: Machine) -> Array:
+    """Logarithms of the loads of front, rear and implement's axle, after over before, (3,)."""
+    return np.log(static_loads(rig_of(after))) - np.log(static_loads(rig_of(before)))
+
+
+def range_variance(machine: Machine) -> float:
+    """Of the logarithm of the implement's mass, while nobody knows what it carries. machine: with the empty one."""
+    load = machine.implement.load
+    return 0.0 if load is None else _log_range(machine, load) ** 2 / 12.0
+
+
+def _log_range(machine: Machine, load: Load) -> float:
+    return math.log1p(load.mass.value / machine.implement.mass.value)
+
+
+def of_nobody(machine: Machine, t_ns: int) -> Carried | None:
+    """What it carries where nobody has said it; None where it carries nothing. machine: with the empty one."""
+    load, own = machine.implement.load, machine.implement.mass.value
+    if load is None:
+        return None
+    middle = own * math.exp(_log_range(machine, load) / 2.0)
+    return Carried(t_ns, middle - own, middle * math.sqrt(range_variance(machine)), LoadSource.NOBODY)
+
+
+def aged(machine: Machine, carried: Carried, seconds: float) -> Carried:
+    """As sure as a word is so many seconds of driving later. machine: with the empty implement."""
+    own = machine.implement.mass.value
+    variance = (carried.sd / (own + carried.mass)) ** 2 + walked(machine, seconds)
+    sd = (own + carried.mass) * math.sqrt(min(variance, max(range_variance(machine), 0.0)))
+    return replace(carried, sd=max(sd, carried.sd))
+
+
+def walked(machine: Machine, seconds: float) -> float:
+    """By how much the variance of the logarithm of its mass grows. machine: with the empty implement."""
+    return range_variance(machine) * max(seconds, 0.0) / LOAD.lasts_s
+
+
+def of_scale(machine: Machine, whole: float | None, content: float | None) -> float | None:
+    """kg that it carries, as a scale says; None where that cannot be. machine: with the empty implement."""
+    load, own = machine.implement.load, machine.implement.mass.value
+    if load is None or (whole is None and content is None):
+        return None
+    mass = content if content is not None else (whole or 0.0) - own
+    slack = 5.0 * LOAD.weighed * own
+    return max(mass, 0.0) if -slack <= mass <= LOAD.beyond * load.mass.value + slack else None
+
+
+def moved_by(machine: Machine, variance: float) -> Array:
+    """Covariance of the six logarithms, (6, 6), learned over masses as told, by that variance of the logarithm
+    of the implement's mass: its stiffness over it moves with the exponent less one."""
+    load, covariance = machine.implement.load, np.zeros((6, 6))
+    if load is not None:
+        covariance[2, 2] = variance * ((load.exponent.value - 1.0) ** 2 + load.exponent.sd**2)
+        covariance[5, 5] = variance * LOAD.relaxation**2
+    return covariance
+
+
+def by_another_load(machine: Machine) -> Array:
+    """As `moved_by`, by a load that has become any other. machine: with the implement as it is."""
+    load = machine.implement.load
+    if load is None:
+        return np.zeros((6, 6))
+    share = load.mass.value / machine.implement.mass.value
+    widest = -math.log1p(-share) if share < LOAD.most else math.log1p(share)  # it is full, or empty
+    return moved_by(machine, widest**2 / 3.0)
