@@ -140,7 +140,8 @@ def estimates_now(state: State) -> dict[str, Estimate]:
     """Method -> its estimate at this moment, and the recommended one under "recommended"."""
     now = {
         row.method: diagnosis.withheld(
-            state.diagnosis, _now(state, row.estimate(state.estimators[row.method], state.machine, state.latest_ns))
+            state.diagnosis,
+            _now(state, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)),
         )
         for row in rows_for(state.machine)
     }
@@ -428,12 +429,12 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
-    foreseen = False
+    foreseen, learners = False, []
     if made is not None and method_state.job is not None:
-        for other in rows_for(state.machine):
-            if other.learn is not None:
-                foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
-                _publish_events(state, t_ns, other, out, foreseen=False)
+        learners = [other for other in rows_for(state.machine) if other.learn is not None]
+        for other in learners:
+            assert other.learn is not None
+            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
         of_file = row.fitting.of_file(made)
         if of_file is not None:
             diagnosis.fit_tells(state.diagnosis, method, *of_file)
@@ -441,7 +442,14 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     if learns:
         diagnosis.windows_tell(state.diagnosis, open_tracker.of_windows(state.machine, method_state))
+    another_load = any(kind == EventKind.LOAD for kind, _ in method_state.events)
+    for other in learners:
+        if another_load:  # what they take for soil
+            take_events(state.estimators[other.method])
+        _publish_events(state, t_ns, other, out, foreseen=False)
     _publish_events(state, t_ns, row, out, foreseen)
+    if another_load:
+        estimate = row.estimate(state.estimators[row.method], state.machine, t_ns)
     _publish_estimates(state, t_ns, [estimate], out)
     return out
 

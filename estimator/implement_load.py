@@ -18,17 +18,12 @@ from tilth.estimator.models.load import LOAD, aged, laden, of_nobody, of_scale, 
 from tilth.estimator.results.method_state import SixState
 from tilth.estimator.state import ScaleWord, State
 from tilth.schemas.flow import Carried, Estimate, LoadSource, Weight
+from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection
 
 WALK_NS: Final = 10_000_000_000  # between two steps of the walk
 SCALE_LOST_NS: Final = 20_000_000_000  # without a word of the scale's, nobody says it any more
-
-
-def begin(state: State, carried: Carried | None, t_ns: int) -> None:
-    """Before the first frame. carried: what was said in a run before; None: nobody has said it."""
-    state.carried = carried or of_nobody(state.empty, t_ns)
-    state.machine = laden(state.empty, state.carried)
 
 
 def use(state: State, carried: Carried) -> None:
@@ -78,15 +73,17 @@ def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:
 
 def walk(state: State, t_ns: int) -> None:
     """Time has passed, and nobody has said the load."""
-    if state.carried is None or state.carried.source is LoadSource.SCALE and (
-        state.scale is not None and t_ns - state.scale.t_ns < SCALE_LOST_NS
+    if (
+        state.carried is None
+        or state.carried.source is LoadSource.SCALE
+        and (state.scale is not None and t_ns - state.scale.t_ns < SCALE_LOST_NS)
     ):
         return
     passed_ns = t_ns - state.walked_ns
     if 0 <= passed_ns < WALK_NS:
         return
     if state.walked_ns and 0 <= passed_ns < 60 * WALK_NS:
-        variance = walked(state.empty, passed_ns * 1e-9)
+        variance = walked(state.empty, state.carried, passed_ns * 1e-9)
         for method_state in state.estimators.values():
             open_up(method_state, state.machine, variance)
     state.walked_ns = t_ns
@@ -94,23 +91,36 @@ def walk(state: State, t_ns: int) -> None:
 
 def changed(state: State, t_ns: int) -> None:
     """Driving shows that it has changed, and not by how much: what was said of it is of before."""
-    assert state.carried is not None
-    variance = range_variance(state.empty)
-    own = state.empty.implement.mass.value
-    use(state, replace(
-        state.carried, t_ns=t_ns, sd=(own + state.carried.mass) * math.sqrt(variance), source=LoadSource.NOBODY
-    ))  # fmt: skip
+    carried = of_nobody(state.empty, t_ns)
+    assert carried is not None  # only an implement that carries something has such events
+    use(state, carried)
     for method_state in state.estimators.values():
-        open_up(method_state, state.machine, 4.0 * variance)  # from one end of the range to the other
+        open_up(method_state, state.machine, 4.0 * range_variance(state.empty))  # from one end to the other
 
 
 def known_now(state: State, t_ns: int, estimate: Estimate) -> Estimate:
-    """An estimate whose C_ai is as uncertain as the mass is by now."""
+    """An estimate whose C_ai is as uncertain as the mass is by now. Stiffnesses over the masses are so, too, but
+    by a share: the mass acts on the forces between the bodies."""
     if state.carried is None:
         return estimate
-    own = state.empty.implement.mass.value
-    now = aged(state.empty, state.carried, (t_ns - state.carried.t_ns) * 1e-9)
-    added = (now.sd**2 - state.carried.sd**2) / (own + state.carried.mass) ** 2
-    covariance = np.zeros((6, 6))
-    covariance[2, 2] = added
-    return widened(OfLoad(covariance), estimate)
+    now, whole = (
+        carried_now(state, t_ns) or state.carried,
+        state.empty.implement.mass.value + state.carried.mass,
+    )
+    over_mass = (LOAD.couples * now.sd / whole) ** 2
+    added = (now.sd**2 - state.carried.sd**2) / whole**2
+    covariance = np.diag([over_mass, over_mass, over_mass + added, 0.0, 0.0, 0.0])
+    return widened(OfLoad(covariance, over_mass), estimate)
+
+
+def carried_now(state: State, t_ns: int) -> Carried | None:
+    """As sure as it is at a time; None where the implement carries nothing."""
+    told = state.carried
+    return told and aged(state.empty, told, (t_ns - told.t_ns) * 1e-9)
+
+
+def later(machine: Machine, carried: Carried | None, elapsed_s: float, t_ns: int) -> Carried | None:
+    """What a run before has left, so much later. machine: as its file describes it."""
+    if carried is None or machine.implement.load is None:
+        return None
+    return replace(aged(machine, carried, elapsed_s), t_ns=t_ns)

@@ -10,6 +10,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from tilth.estimator import implement_load
 from tilth.estimator.diagnosis import diagnosis, watch
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import (
@@ -137,6 +138,21 @@ class GuardedFold:
     def accepted(self) -> list[Accepted]:
         """Values that the operator has accepted, in place of those of the machine file."""
         return list(self.state.accepted)
+
+    @property
+    def empty(self) -> Machine:
+        """The rig, accepted values and all, without what its implement carries."""
+        return self.state.empty
+
+    @property
+    def full_load(self) -> float:
+        """kg that its implement carries when it is full; 0 where it carries nothing."""
+        load = self.state.empty.implement.load
+        return 0.0 if load is None else load.mass.value
+
+    def carried(self, t_ns: int) -> Carried | None:
+        """What its implement carries, as sure as that is at a time; None where it carries nothing."""
+        return implement_load.carried_now(self.state, t_ns)
 
     @property
     def moved(self) -> list[tuple[list[str], str]]:
@@ -352,13 +368,16 @@ class GuardedFold:
         t_ns: int,
         accepted: Sequence[Accepted] = (),
         moved: Sequence[Moved] = (),
+        carried: Carried | None = None,
     ) -> dict[str, Reason | None]:
         """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or None.
 
-        accepted: by the operator in earlier runs. moved: found by them, and not accepted."""
+        accepted: by the operator in earlier runs. moved: found by them, and not accepted. carried: by the
+        implement then, as sure as it was then."""
         try:
-            if accepted:
-                ready, self.state = self.state.ready, initial(self._machine, accepted)
+            if accepted or carried:
+                carried = implement_load.later(self._machine, carried, elapsed_s, t_ns)
+                ready, self.state = self.state.ready, initial(self._machine, accepted, carried)
                 self.state.ready = ready
                 self._use_rig()
             refusals = resume(self.state, learned, elapsed_s, t_ns)

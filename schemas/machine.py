@@ -68,6 +68,12 @@ class Load(Ballast):
         default=Quantity(value=0.8, sd=0.15),
         description="stiffness of tyres grows with their load to this power; a number alone is taken to 0.1",
     )
+    lasts: float = Field(
+        default=600.0,
+        gt=0,
+        description="time in which it may become any other, where no scale tells it, s: a grain cart 600, a "
+        "sprayer 3600",
+    )
 
 
 class Tractor(_Section):

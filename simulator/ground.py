@@ -139,7 +139,7 @@ class SoilField:
         """With what the implement carries then, s."""
         rig = self.rig
         for change in self.loads:
-            factor = 1.0 + _begun(change, t) * (change.mass - 1.0)
+            factor = 1.0 + float(_begun(change, t)) * (change.mass - 1.0)
             rig = rig._replace(m_i=rig.m_i * factor, I_i=rig.I_i * factor)
         return rig
 
@@ -170,7 +170,9 @@ class SoilField:
 def _begun(change: LoadChange, t: Array | float) -> Array:
     """How much of a change there is, 0 to 1, shape of t, s."""
     since = np.subtract(t, change.at_s)
-    return np.asarray(since >= 0.0, np.float64) if change.over == 0.0 else np.clip(since / change.over, 0.0, 1.0)
+    return (
+        np.asarray(since >= 0.0, np.float64) if change.over == 0.0 else np.clip(since / change.over, 0.0, 1.0)
+    )
 
 
 def axles_of(rig: Rig, states: Array) -> Array:

@@ -114,9 +114,10 @@ class OfSoil:
 
 @dataclass(frozen=True, slots=True)
 class OfLoad:
-    """What is not known of the implement's load does to the six, and nothing to a stiffness over the mass."""
+    """What is not known of the implement's load does to the six."""
 
     covariance: Array  # (6, 6), of logarithms
+    over_mass: float  # of the covariance, what is of C_ai over the mass
 
     def limit(self, own: float, had: bool = False) -> float:
         """As of `Widening`; what was given before is given no longer."""
@@ -169,10 +170,10 @@ def widened(widening: Widening | OfSoil | OfLoad, estimate: Estimate, had: Seque
     parameters = tuple(
         _parameter(widening, k, p, had=k < len(had) and had[k]) for k, p in enumerate(estimate.parameters)
     )
+    over = np.diag(widening.covariance)[:3].copy()
     if isinstance(widening, OfLoad):
-        masses = list(zip(estimate.per_mass, estimate.per_mass_sd, strict=True))
-    else:
-        masses = [_over_mass(widening, estimate, k, had=k < len(had) and had[k]) for k in range(3)]
+        over[2] = widening.over_mass
+    masses = [_over_mass(widening, estimate, k, over[k], had=k < len(had) and had[k]) for k in range(3)]
     determined = tuple(
         replace(one, log_sd=total)
         for one in estimate.determined
@@ -186,20 +187,21 @@ def widened(widening: Widening | OfSoil | OfLoad, estimate: Estimate, had: Seque
 
 
 def _over_mass(
-    widening: Widening | OfSoil, estimate: Estimate, k: int, had: bool
+    widening: Widening | OfSoil | OfLoad, estimate: Estimate, k: int, added: float, had: bool
 ) -> tuple[float | None, float | None]:
-    """(value, sd) of a stiffness over the mass, which errors of the mass do not widen."""
+    """(value, sd) of a stiffness over the mass, which errors of the mass do not widen. added: variance."""
     if k >= len(estimate.per_mass_sd):
         return None, None
     value, sd = estimate.per_mass[k], estimate.per_mass_sd[k]
     if value is None or sd is None:
         return None, None
-    total = math.hypot(sd / value, math.sqrt(widening.covariance[k, k]))
+    total = math.hypot(sd / value, math.sqrt(added))
     return (value, value * total) if total <= widening.limit(sd / value, had) else (None, None)
 
 
 def _parameter(
-    widening: Widening | OfSoil | OfLoad, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
+    widening: Widening | OfSoil | OfLoad, k: int, given: ParameterEstimate, had: bool
+) -> ParameterEstimate:
     if given.value is None or given.sd is None:
         return given
     own = given.sd / given.value

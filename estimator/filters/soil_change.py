@@ -9,7 +9,7 @@ freedom.
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ class SoilChangeTuning:
     couples: float = tuned(0.05, "1", "of a logarithm, by which another mass moves what it should not")
     rounding: float = tuned(1e-3, "1", "of a logarithm: less cannot be told apart")
     sure: float = tuned(math.log(20.0), "nats", "likelier by which the one change is told from the other")
+    loaded: float = tuned(math.log(40.0), "nats", "likelier than no change, from which another load is told")
     checkpoint_segments: int = tuned(2, "segments", "between two of them")
 
 
@@ -99,22 +100,32 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d], checkpoints[k])
 
 
-def odds_of_load(moved: Array, covariance: Array, answer: Array, by_load: Array) -> float:
-    """Logarithm of how much likelier a change of the implement's load makes it than one of the soil, that a
-    posterior's mean has moved so.
+class Odds(NamedTuple):
+    """Logarithms of how much likelier a change makes it than none, that a posterior's mean has moved so."""
 
-    moved: (6,). covariance: (6, 6), by which it moves without a change; answer: (6, 6), by how much it follows
-    a change; by_load: (6, 6), covariance of the six by another load. Other soil changes all stiffnesses together,
-    and each axle's a little besides.
-    """
-    floor = np.diag([SOIL_CHANGE.couples**2] * 6)
-    soil = np.zeros((6, 6))
-    share = SOIL_CHANGE.common
+    load: float  # of the implement's load
+    soil: float  # which changes all stiffnesses together, and each axle's a little besides
+
+    @property
+    def of_load(self) -> float:
+        """The one against the other."""
+        return self.load - self.soil
+
+
+def odds(before: tuple[Array, Array], after: tuple[Array, Array], by_load: Array, without: Array) -> Odds:
+    """before, after: mean, (6,), and covariance, (6, 6). by_load: (6, 6), covariance of the six by another load;
+    without: (6, 6), of what moves besides without any change."""
+    answer = np.eye(6) - np.linalg.solve(before[1], after[1]).T
+    by_chance = (answer @ before[1] + (answer @ before[1]).T) / 2.0
+    values, vectors = np.linalg.eigh(by_chance)
+    by_chance = (vectors * np.maximum(values, SOIL_CHANGE.rounding**2)) @ vectors.T + without
+    soil, share = np.zeros((6, 6)), SOIL_CHANGE.common
     soil[:3, :3] = SOIL_CHANGE.soil_sd**2 * (share + (1.0 - share) * np.eye(3))
+    couples = np.diag([SOIL_CHANGE.couples**2] * 6)
     likelihoods = []
-    for change in (by_load, soil):
-        total = covariance + answer @ (change + floor) @ answer.T
-        total += np.diag(np.full(6, SOIL_CHANGE.rounding**2))
-        _, log_determinant = np.linalg.slogdet(total)
-        likelihoods.append(-0.5 * (float(moved @ np.linalg.solve(total, moved)) + log_determinant))
-    return likelihoods[0] - likelihoods[1]
+    for change in (np.zeros((6, 6)), by_load + couples, soil + couples):
+        total = by_chance + answer @ change @ answer.T
+        moved = after[0] - before[0]
+        determinant = float(np.linalg.slogdet(total)[1])
+        likelihoods.append(-0.5 * (float(moved @ np.linalg.solve(total, moved)) + determinant))
+    return Odds(likelihoods[1] - likelihoods[0], likelihoods[2] - likelihoods[0])

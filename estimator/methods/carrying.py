@@ -4,6 +4,7 @@ Stiffnesses are learned over masses that are taken as known. With another load t
 follow their load, and what was learned moves with them, as uncertain as the exponent is.
 """
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -31,16 +32,17 @@ def take_load(state: Any, before: Machine, after: Machine) -> None:
     """Go on with another load. state: of a method that learns the six, or of the memory by place; before, after:
     the rig with either load."""
     mean, sd = unknowns.prior(after)
+    loads = np.abs(heavier_by(before, after))
+    load = after.implement.load
+    by_load, added = (load.exponent.sd if load else 0.0) * loads, np.zeros((6, 6))
+    added[STIFFNESSES, STIFFNESSES] = np.outer(by_load, by_load)
+    added[RELAXATIONS, RELAXATIONS] = np.diag((LOAD.relaxation * loads) ** 2)
     if isinstance(state, PlaceState):  # which keeps what windows told less the prior's mean
         state.prior_mean, state.prior_sd = mean, sd
+        _less_sure(state, added)
         return
     state.mean += mean - state.prior_mean
     state.prior_mean, state.prior_sd = mean, sd
-    loads = np.abs(heavier_by(before, after))
-    exponent = after.implement.load
-    by_load, added = (exponent.exponent.sd if exponent else 0.0) * loads, np.zeros((6, 6))
-    added[STIFFNESSES, STIFFNESSES] = np.outer(by_load, by_load)
-    added[RELAXATIONS, RELAXATIONS] = np.diag((LOAD.relaxation * loads) ** 2)
     _widen(state, added, OF_LADEN if loads[2] > LOAD.small_change else [])
 
 
@@ -48,6 +50,22 @@ def open_up(state: Any, machine: Machine, variance: float) -> None:
     """The logarithm of the implement's mass may have moved, by that variance, and nobody has said it."""
     if isinstance(state, SixState):
         _widen(state, moved_by(machine, variance), [])
+    elif isinstance(state, PlaceState):
+        _less_sure(state, moved_by(machine, variance))
+
+
+def _less_sure(state: PlaceState, added: Array) -> None:
+    """Add a covariance, (6, 6), to what windows have told."""
+    if not state.windows or not added.any():
+        return
+    windows = []
+    for window in state.windows:
+        told = window.told
+        kept = np.linalg.inv(np.eye(6) + told.information @ added)
+        information = kept @ told.information
+        told = replace(told, information=(information + information.T) / 2.0, vector=kept @ told.vector)
+        windows.append(replace(window, told=told))
+    state.windows, state.soil = windows, None
 
 
 def _widen(state: SixState, added: Array, forgotten: list[int]) -> None:

@@ -400,13 +400,11 @@ def _detect_soil_change(state: TrackerState, machine: Machine) -> None:
 
 
 def _odds_of_load(state: TrackerState, machine: Machine, since: Checkpoint) -> float:
-    """As soil_change.odds_of_load; of an implement that carries nothing, that it is the soil."""
+    """As soil_change.Odds; of an implement that carries nothing, that it is the soil."""
     if machine.implement.load is None:
         return -math.inf
-    answer = np.eye(6) - state.covariance[SIX, SIX] @ np.linalg.inv(since.covariance)
-    by_chance = answer @ since.covariance
-    by_chance = np.asarray((by_chance + by_chance.T) / 2.0, np.float64)
-    return soil_change.odds_of_load(state.mean[SIX] - since.mean, by_chance, answer, by_another_load(machine))
+    before, after = (since.mean, since.covariance), (state.mean[SIX], state.covariance[SIX, SIX])
+    return soil_change.odds(before, after, by_another_load(machine), np.zeros((6, 6))).of_load
 
 
 def _load_changed(state: TrackerState, odds: float) -> None:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.models.upright import UPRIGHT
 from tilth.estimator.tuning import tuned
+from tilth.schemas import carried
 from tilth.schemas.ballast import carrying
-from tilth.schemas.flow import Carried, LoadSource
-from tilth.schemas.machine import Load, Machine, Quantity, Tyre, Tyres
+from tilth.schemas.flow import Carried
+from tilth.schemas.machine import Machine, Quantity, Tyre, Tyres
 
 Array = NDArray[np.float64]
 
@@ -26,25 +27,28 @@ Array = NDArray[np.float64]
 class LoadTuning:
     """How loads change, and what that does to tyres."""
 
-    lasts_s: float = tuned(1800.0, "s", "of driving, in which a load that nobody weighs may become any other")
     weighed: float = tuned(0.02, "1", "sd of a scale, over the mass of the implement with its load")
     change: float = tuned(0.1, "1", "of the logarithm of that mass, by which a scale's word is used at once")
     small_change: float = tuned(0.02, "1", "the same, by which it is used after `settled_s`")
     settled_s: float = tuned(30.0, "s", "after a word of the scale's was used")
     smoothed_s: float = tuned(3.0, "s", "over which a scale's words are averaged: on rough ground they dance")
+    couples: float = tuned(
+        0.3, "1", "by which stiffnesses over masses err, over the error of the mass' logarithm"
+    )
     relaxation: float = tuned(0.3, "1", "sd of how a relaxation length's logarithm follows that of its load")
-    most: float = tuned(0.95, "1", "largest load, over the mass of the implement with it")
-    beyond: float = tuned(1.2, "1", "most that is carried, over what a full one does")
+    another: float = tuned(
+        0.8, "1", "sd of the logarithm of its mass, by which another load differs: from 8 t to 2 t"
+    )
 
 
 LOAD: Final = LoadTuning()
 
 
-def laden(machine: Machine, carried: Carried | None) -> Machine:
+def laden(machine: Machine, now: Carried | None) -> Machine:
     """The rig with what its implement carries. machine: with the empty one; itself where it carries nothing."""
-    if carried is None or machine.implement.load is None:
+    if now is None or machine.implement.load is None:
         return machine
-    full = carrying(machine, Quantity(value=carried.mass, sd=carried.sd))
+    full = carrying(machine, Quantity(value=now.mass, sd=now.sd))
     heavier = np.exp(heavier_by(machine, full))
     exponent = machine.implement.load.exponent.value
     axles = {
@@ -73,33 +77,35 @@ def heavier_by(before: Machine, after: Machine) -> Array:
 def range_variance(machine: Machine) -> float:
     """Of the logarithm of the implement's mass, while nobody knows what it carries. machine: with the empty one."""
     load = machine.implement.load
-    return 0.0 if load is None else _log_range(machine, load) ** 2 / 12.0
-
-
-def _log_range(machine: Machine, load: Load) -> float:
-    return math.log1p(load.mass.value / machine.implement.mass.value)
+    return 0.0 if load is None else carried.log_range(machine, load) ** 2 / 12.0
 
 
 def of_nobody(machine: Machine, t_ns: int) -> Carried | None:
     """What it carries where nobody has said it; None where it carries nothing. machine: with the empty one."""
-    load, own = machine.implement.load, machine.implement.mass.value
-    if load is None:
-        return None
-    middle = own * math.exp(_log_range(machine, load) / 2.0)
-    return Carried(t_ns, middle - own, middle * math.sqrt(range_variance(machine)), LoadSource.NOBODY)
+    load = machine.implement.load
+    return None if load is None else carried.of_nobody(machine, load, t_ns)
 
 
-def aged(machine: Machine, carried: Carried, seconds: float) -> Carried:
-    """As sure as a word is so many seconds of driving later. machine: with the empty implement."""
+def aged(machine: Machine, told: Carried, seconds: float) -> Carried:
+    """As sure as a word is so many seconds later. machine: with the empty implement."""
+    whole = machine.implement.mass.value + told.mass
+    variance = (told.sd / whole) ** 2 + walked(machine, told, seconds)
+    return replace(told, sd=max(told.sd, whole * math.sqrt(min(variance, _any_variance(machine, told)))))
+
+
+def walked(machine: Machine, told: Carried, seconds: float) -> float:
+    """By how much the variance of the logarithm of its mass grows, about what was told. machine: with the empty
+    implement."""
+    load = machine.implement.load
+    return 0.0 if load is None else _any_variance(machine, told) * max(seconds, 0.0) / load.lasts
+
+
+def _any_variance(machine: Machine, told: Carried) -> float:
+    """About what was told, where all may be."""
+    middle = of_nobody(machine, told.t_ns)
     own = machine.implement.mass.value
-    variance = (carried.sd / (own + carried.mass)) ** 2 + walked(machine, seconds)
-    sd = (own + carried.mass) * math.sqrt(min(variance, max(range_variance(machine), 0.0)))
-    return replace(carried, sd=max(sd, carried.sd))
-
-
-def walked(machine: Machine, seconds: float) -> float:
-    """By how much the variance of the logarithm of its mass grows. machine: with the empty implement."""
-    return range_variance(machine) * max(seconds, 0.0) / LOAD.lasts_s
+    off = math.log((own + told.mass) / (own + middle.mass)) if middle else 0.0
+    return range_variance(machine) + off**2
 
 
 def of_scale(machine: Machine, whole: float | None, content: float | None) -> float | None:
@@ -109,7 +115,7 @@ def of_scale(machine: Machine, whole: float | None, content: float | None) -> fl
         return None
     mass = content if content is not None else (whole or 0.0) - own
     slack = 5.0 * LOAD.weighed * own
-    return max(mass, 0.0) if -slack <= mass <= LOAD.beyond * load.mass.value + slack else None
+    return max(mass, 0.0) if -slack <= mass <= carried.BEYOND * load.mass.value + slack else None
 
 
 def moved_by(machine: Machine, variance: float) -> Array:
@@ -124,9 +130,4 @@ def moved_by(machine: Machine, variance: float) -> Array:
 
 def by_another_load(machine: Machine) -> Array:
     """As `moved_by`, by a load that has become any other. machine: with the implement as it is."""
-    load = machine.implement.load
-    if load is None:
-        return np.zeros((6, 6))
-    share = load.mass.value / machine.implement.mass.value
-    widest = -math.log1p(-share) if share < LOAD.most else math.log1p(share)  # it is full, or empty
-    return moved_by(machine, widest**2 / 3.0)
+    return moved_by(machine, LOAD.another**2)
