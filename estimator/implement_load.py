@@ -1,11 +1,11 @@
 """How much the implement carries, in the state of the fold: who says it, and what is done then.
 
 An operator's word is logged before it is used, a scale's is in the log as frames. Where nobody says it, the
-logarithm of the mass walks; C_ai is then known as badly as the mass, C_ai over it as well as driving tells it.
-"""
+logarithm of the mass walks; C_ai is then known as badly as the mass, C_ai over it as well as driving tells
+it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -73,9 +73,8 @@ def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:
 
 def walk(state: State, t_ns: int) -> None:
     """Time has passed, and nobody has said the load."""
-    if (
-        state.carried is None
-        or state.carried.source is LoadSource.SCALE
+    if state.carried is None or (
+        state.carried.source is LoadSource.SCALE
         and (state.scale is not None and t_ns - state.scale.t_ns < SCALE_LOST_NS)
     ):
         return
@@ -99,7 +98,8 @@ def changed(state: State, t_ns: int) -> None:
 
 
 def known_now(state: State, t_ns: int, estimate: Estimate) -> Estimate:
-    """An estimate whose C_ai is as uncertain as the mass is by now. Stiffnesses over the masses are so, too, but
+    """An estimate whose C_ai is as uncertain as the mass is by now. Stiffnesses over the masses are so,
+    too, but
     by a share: the mass acts on the forces between the bodies."""
     if state.carried is None:
         return estimate

@@ -97,8 +97,8 @@ class Daemon:
         run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
         self.parts = RunParts(
             clock, supervisor, estimation, buses, outlets, MarkLog(fold, clock, outlets),
-            of_accepting(fold, clock, outlets), of_loads(fold, clock, outlets), Hitched(rigs, machine_file, folder, clock, outlets), run_report,
-            Sensors(machine), counts,
+            of_accepting(fold, clock, outlets), of_loads(fold, clock, outlets), Hitched(rigs, machine_file,
+            folder, clock, outlets), run_report, Sensors(machine), counts,
         )  # fmt: skip
         if not fold.ready:
             self._log_ready(estimation.preparing.text)

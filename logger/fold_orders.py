@@ -28,8 +28,8 @@ class FoldOrders:
     """
 
     def __init__(
-        self, key: str, words: OrderWords, topic: str, meant: Callable[[str, int], Any], use: Callable[[Any], Used],
-        clock: Clock, outlets: Outlets,
+        self, key: str, words: OrderWords, topic: str, meant: Callable[[str, int], Any], use:
+        Callable[[Any], Used], clock: Clock, outlets: Outlets,
     ) -> None:  # fmt: skip
         """meant: the value that a text asks for at a time, or why there is none, in words. use: uses it."""
         self.requests = Marks(words)

@@ -51,7 +51,8 @@ class Keeping:
             recording.on_disk_thread(lambda: whole_file.write(self._path, text.encode()))
 
     def _standing(self) -> tuple[int, tuple[str, ...], bool, float]:
-        """What the next run has to know at once: values accepted, what has been moved, a contradiction, kg that
+        """What the next run has to know at once: values accepted, what has been moved, a contradiction, kg
+        that
         the implement carries."""
         moved = tuple(name for one in self._fold.unsettled for name in one.names)
         load = self._fold.carried(0)

@@ -21,8 +21,8 @@ def said_of_load(machine: Machine, text: str, t_ns: int) -> Carried | str:
     if load is None:
         name = machine.implement.name or "this implement"
         return (
-            f"the machine file does not say what {name} can carry: add [implement.load] with mass (when it is "
-            "full), ahead_of_axle and height"
+            f"the machine file does not say what {name} can carry: add [implement.load] with mass (when "
+            "it is full), ahead_of_axle and height"
         )
     if text == "unknown":
         return of_nobody(machine, load, t_ns)
@@ -34,9 +34,9 @@ def said_of_load(machine: Machine, text: str, t_ns: int) -> Carried | str:
     mass = float(told[1].replace(",", ".")) * (1e3 if told[2] == "t" else 1.0)
     if mass > BEYOND * load.mass.value:
         return (
-            f"{mass / 1e3:.1f} t is more than it carries when it is full ({load.mass.value / 1e3:.1f} t), and "
-            "than its tyres are meant for. Say what it carries, without its own mass; if it does carry that, "
-            "correct implement.load.mass in the machine file"
+            f"{mass / 1e3:.1f} t is more than it carries when it is full ({load.mass.value / 1e3:.1f} t), "
+            "and than its tyres are meant for. Say what it carries, without its own mass; if it does carry "
+            "that, correct implement.load.mass in the machine file"
         )
     return Carried(t_ns, mass, max(GUESSED * mass, LEVELS["empty"][1] * load.mass.value), LoadSource.OPERATOR)
 

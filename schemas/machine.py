@@ -61,7 +61,8 @@ class Ballast(_Section):
 
 
 class Load(Ballast):
-    """What an implement carries and loses during the day: `mass` when it is full, 0 when it is empty. Mass, CG
+    """What an implement carries and loses during the day: `mass` when it is full, 0 when it is empty. Mass,
+    CG
     and inertia of [implement] are then those of the empty one, as the prior of its tyres is."""
 
     exponent: Annotated[Quantity, quantity(0.1)] = Field(
@@ -435,8 +436,8 @@ class Machine(_Section):
         load = self.implement.load
         if load is not None and load.mass.value <= 0:
             raise ValueError(
-                f"implement.load.mass = {load.mass.value:g} kg: give what it carries when it is full, or leave "
-                "out [implement.load]"
+                f"implement.load.mass = {load.mass.value:g} kg: give what it carries when it is full, or "
+                "leave out [implement.load]"
             )
         if load is not None and not 0 <= load.exponent.value <= 1.2:
             raise ValueError(

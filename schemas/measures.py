@@ -19,8 +19,8 @@ from tilth.schemas.flow import (
     Position,
     UtcTime,
     VehicleSpeed,
-    Weight,
     Velocity,
+    Weight,
     YawRate,
 )
 from tilth.schemas.identity import Deviation

@@ -113,7 +113,8 @@ class Odds(NamedTuple):
 
 
 def odds(before: tuple[Array, Array], after: tuple[Array, Array], by_load: Array, without: Array) -> Odds:
-    """before, after: mean, (6,), and covariance, (6, 6). by_load: (6, 6), covariance of the six by another load;
+    """before, after: mean, (6,), and covariance, (6, 6). by_load: (6, 6), covariance of the six by another
+    load;
     without: (6, 6), of what moves besides without any change."""
     answer = np.eye(6) - np.linalg.solve(before[1], after[1]).T
     by_chance = (answer @ before[1] + (answer @ before[1]).T) / 2.0

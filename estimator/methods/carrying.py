@@ -29,7 +29,8 @@ RELAXATIONS: Final = slice(3, 6)
 
 
 def take_load(state: Any, before: Machine, after: Machine) -> None:
-    """Go on with another load. state: of a method that learns the six, or of the memory by place; before, after:
+    """Go on with another load. state: of a method that learns the six, or of the memory by place; before,
+    after:
     the rig with either load."""
     mean, sd = unknowns.prior(after)
     loads = np.abs(heavier_by(before, after))
@@ -69,7 +70,8 @@ def _less_sure(state: PlaceState, added: Array) -> None:
 
 
 def _widen(state: SixState, added: Array, forgotten: list[int]) -> None:
-    """Add a covariance to the six, none beyond the prior's variance; and forget what was learned of others."""
+    """Add a covariance to the six, none beyond the prior's variance; and forget what was learned of
+    others."""
     covariances = [state.covariance]
     if isinstance(state, RowsState):
         covariances.append(state.before_covariance)

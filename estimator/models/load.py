@@ -1,8 +1,8 @@
 """What an implement carries: the rig with it, and how long what was said of it is true.
 
-Tyres grow stiffer with their load, C ~ load^n, so an implement's stiffness over its mass moves with m^(n - 1):
-by 1.5 from 8 t to 2 t at n = 0.7, not at all at n = 1. That is what driving sees of a load; its mass alone it
-does not tell. So between two words of who knows it, the logarithm of the mass is a random walk.
+Tyres grow stiffer with their load, C ~ load^n, so an implement's stiffness over its mass moves with
+m^(n - 1): by 1.5 from 8 t to 2 t at n = 0.7, not at all at n = 1. That is what driving sees of a load; its
+mass alone it does not tell. So between two words of who knows it, the logarithm of the mass walks.
 """
 
 import math
@@ -45,7 +45,8 @@ LOAD: Final = LoadTuning()
 
 
 def laden(machine: Machine, now: Carried | None) -> Machine:
-    """The rig with what its implement carries. machine: with the empty one; itself where it carries nothing."""
+    """The rig with what its implement carries. machine: with the empty one; itself where it carries
+    nothing."""
     if now is None or machine.implement.load is None:
         return machine
     full = carrying(machine, Quantity(value=now.mass, sd=now.sd))
@@ -75,13 +76,15 @@ def heavier_by(before: Machine, after: Machine) -> Array:
 
 
 def range_variance(machine: Machine) -> float:
-    """Of the logarithm of the implement's mass, while nobody knows what it carries. machine: with the empty one."""
+    """Of the logarithm of the implement's mass, while nobody knows what it carries. machine: with the
+    empty one."""
     load = machine.implement.load
     return 0.0 if load is None else carried.log_range(machine, load) ** 2 / 12.0
 
 
 def of_nobody(machine: Machine, t_ns: int) -> Carried | None:
-    """What it carries where nobody has said it; None where it carries nothing. machine: with the empty one."""
+    """What it carries where nobody has said it; None where it carries nothing. machine: with the empty
+    one."""
     load = machine.implement.load
     return None if load is None else carried.of_nobody(machine, load, t_ns)
 
@@ -94,7 +97,8 @@ def aged(machine: Machine, told: Carried, seconds: float) -> Carried:
 
 
 def walked(machine: Machine, told: Carried, seconds: float) -> float:
-    """By how much the variance of the logarithm of its mass grows, about what was told. machine: with the empty
+    """By how much the variance of the logarithm of its mass grows, about what was told. machine: with the
+    empty
     implement."""
     load = machine.implement.load
     return 0.0 if load is None else _any_variance(machine, told) * max(seconds, 0.0) / load.lasts
@@ -119,7 +123,8 @@ def of_scale(machine: Machine, whole: float | None, content: float | None) -> fl
 
 
 def moved_by(machine: Machine, variance: float) -> Array:
-    """Covariance of the six logarithms, (6, 6), learned over masses as told, by that variance of the logarithm
+    """Covariance of the six logarithms, (6, 6), learned over masses as told, by that variance of the
+    logarithm
     of the implement's mass: its stiffness over it moves with the exponent less one."""
     load, covariance = machine.implement.load, np.zeros((6, 6))
     if load is not None:

@@ -193,12 +193,13 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.ACCEPTED: "accepted: {reason}; for the machine file: {line}",
     NoticeCode.LOAD_TOLD: "the implement carries {mass_t:.1f} t ± {sd_t:.1f} t ({source})",
     NoticeCode.LOAD_CHANGED: (
-        "the implement carries more or less than before: its tyres hold otherwise over its mass, the tractor's "
-        "as before. C_ai has a number again when somebody says the load, as by `tilth implement --load full`"
+        "the implement carries more or less than before: its tyres hold otherwise over its mass, the "
+        "tractor's as before. C_ai has a number again when somebody says the load, as by `tilth implement "
+        "--load full`"
     ),
     NoticeCode.LOAD_OR_SOIL: (
-        "the implement carries more or less than before, or the soil holds the tyres differently: driving does "
-        "not tell which. Say the load, as by `tilth implement --load full`"
+        "the implement carries more or less than before, or the soil holds the tyres differently: driving "
+        "does not tell which. Say the load, as by `tilth implement --load full`"
     ),
     NoticeCode.SOIL_CHANGED: (
         "the soil holds the tyres differently{listed}: what was learned of it before is given up"
