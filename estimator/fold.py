@@ -442,13 +442,13 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     if learns:
         diagnosis.windows_tell(state.diagnosis, open_tracker.of_windows(state.machine, method_state))
-    another_load = any(kind == EventKind.LOAD for kind, _ in method_state.events)
+    machine, by_load = state.machine, any(kind == EventKind.LOAD for kind, _ in method_state.events)
     for other in learners:
-        if another_load:  # what they take for soil
-            take_events(state.estimators[other.method])
+        events = state.estimators[other.method].events
+        events[:] = [] if by_load else implement_load.in_doubt(state, events)
         _publish_events(state, t_ns, other, out, foreseen=False)
     _publish_events(state, t_ns, row, out, foreseen)
-    if another_load:
+    if state.machine is not machine:
         estimate = row.estimate(state.estimators[row.method], state.machine, t_ns)
     _publish_estimates(state, t_ns, [estimate], out)
     return out

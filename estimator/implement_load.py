@@ -17,7 +17,7 @@ from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.models.load import LOAD, aged, laden, of_nobody, of_scale, range_variance, walked
 from tilth.estimator.results.method_state import SixState
 from tilth.estimator.state import ScaleWord, State
-from tilth.schemas.flow import Carried, Estimate, LoadSource, Weight
+from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Weight
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection
@@ -95,6 +95,15 @@ def changed(state: State, t_ns: int) -> None:
     use(state, carried)
     for method_state in state.estimators.values():
         open_up(method_state, state.machine, 4.0 * range_variance(state.empty))  # from one end to the other
+
+
+def in_doubt(state: State, events: list[tuple[str, Notice]]) -> list[tuple[str, Notice]]:
+    """Events of a method that knows places, and not loads: what it takes for soil may be a load that nobody
+    weighs."""
+    if state.carried is None or state.carried.source is LoadSource.SCALE:
+        return events
+    either = EventKind.LOAD, notice(NoticeCode.LOAD_OR_SOIL)
+    return [either if kind == EventKind.SOIL_CHANGE else (kind, told) for kind, told in events]
 
 
 def known_now(state: State, t_ns: int, estimate: Estimate) -> Estimate:
