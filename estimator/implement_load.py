@@ -6,7 +6,6 @@ it."""
 
 import math
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -21,9 +20,6 @@ from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Weight
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection
-
-WALK_NS: Final = 10_000_000_000  # between two steps of the walk
-SCALE_LOST_NS: Final = 20_000_000_000  # without a word of the scale's, nobody says it any more
 
 
 def use(state: State, carried: Carried) -> None:
@@ -56,7 +52,7 @@ def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:
             )
         return None
     before = state.scale
-    if before is None or not 0 <= t_ns - before.t_ns < SCALE_LOST_NS:
+    if before is None or not 0 <= t_ns - before.t_ns < LOAD.scale_lost_ns:
         state.scale = ScaleWord(t_ns, mass)
     else:
         share = -math.expm1(-(t_ns - before.t_ns) * 1e-9 / LOAD.smoothed_s)
@@ -75,13 +71,13 @@ def walk(state: State, t_ns: int) -> None:
     """Time has passed, and nobody has said the load."""
     if state.carried is None or (
         state.carried.source is LoadSource.SCALE
-        and (state.scale is not None and t_ns - state.scale.t_ns < SCALE_LOST_NS)
+        and (state.scale is not None and t_ns - state.scale.t_ns < LOAD.scale_lost_ns)
     ):
         return
     passed_ns = t_ns - state.walked_ns
-    if 0 <= passed_ns < WALK_NS:
+    if 0 <= passed_ns < LOAD.step_ns:
         return
-    if state.walked_ns and 0 <= passed_ns < 60 * WALK_NS:
+    if state.walked_ns and 0 <= passed_ns < LOAD.unknown_ns:
         variance = walked(state.empty, state.carried, passed_ns * 1e-9)
         for method_state in state.estimators.values():
             open_up(method_state, state.machine, variance)

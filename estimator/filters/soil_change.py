@@ -42,8 +42,8 @@ class SoilChangeTuning:
     common: float = tuned(0.8, "1", "share of that variance that all axles have in common")
     couples: float = tuned(0.05, "1", "of a logarithm, by which another mass moves what it should not")
     rounding: float = tuned(1e-3, "1", "of a logarithm: less cannot be told apart")
-    sure: float = tuned(math.log(20.0), "nats", "likelier by which the one change is told from the other")
-    loaded: float = tuned(math.log(40.0), "nats", "likelier than no change, from which another load is told")
+    sure: float = tuned(math.log(20.0), "nat", "likelier by which the one change is told from the other")
+    loaded: float = tuned(math.log(40.0), "nat", "likelier than no change, from which another load is told")
     checkpoint_segments: int = tuned(2, "segments", "between two of them")
 
 

@@ -32,6 +32,11 @@ class LoadTuning:
     small_change: float = tuned(0.02, "1", "the same, by which it is used after `settled_s`")
     settled_s: float = tuned(30.0, "s", "after a word of the scale's was used")
     smoothed_s: float = tuned(3.0, "s", "over which a scale's words are averaged: on rough ground they dance")
+    step_ns: int = tuned(10_000_000_000, "ns", "between two steps of the walk")
+    unknown_ns: int = tuned(
+        600_000_000_000, "ns", "since the last one, in which the log's clock may have stepped"
+    )
+    scale_lost_ns: int = tuned(20_000_000_000, "ns", "without a scale's word, after which nobody weighs it")
     couples: float = tuned(
         0.3, "1", "by which stiffnesses over masses err, over the error of the mass' logarithm"
     )

@@ -201,7 +201,7 @@ def test_a_scale_is_used_when_it_says_another_load(cart: Machine) -> None:
     assert masses[-1] == pytest.approx(cart.implement.mass.value, rel=0.06) and masses == sorted(
         masses, reverse=True
     )
-    fold.step(state, weight(80 * S, None, 1000.0))  # less than the empty implement
+    fold.step(state, weight(73 * S, None, 1000.0))  # less than the empty implement
     assert state.rejected["out_of_range"] == 1
 
 
