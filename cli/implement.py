@@ -36,12 +36,12 @@ def _known(status: pb.Status, by: str) -> list[str]:
     lines = [f"{name}  (hitched on)" if name == status.implement else name for name in status.implements]
     lines = lines or [f"{by} has one implement{': ' if status.implement else ''}{status.implement}."]
     if status.HasField("load"):
-        lines.append(f"It carries {_mass(status.load)}, of {status.full_load / 1e3:.1f} t when it is full.")
+        lines.append(f"{_carries(status.load)} It is full with {status.full_load / 1e3:.1f} t.")
     return lines
 
 
-def _mass(load: pb.Carried) -> str:
+def _carries(load: pb.Carried) -> str:
     if load.source == "nobody":
-        return "nobody has said what"
+        return "Nobody has said what it carries."
     said = "a scale" if load.source == "scale" else "the operator"
-    return f"{load.mass / 1e3:.1f} t ± {load.sd / 1e3:.1f} t, as {said} has said"
+    return f"It carries {load.mass / 1e3:.1f} t ± {load.sd / 1e3:.1f} t, as {said} has said."
