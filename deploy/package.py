@@ -89,17 +89,9 @@ def debian_package(wheels: Path, tree: Path, out: Path) -> Path:
         elif not path.is_symlink() and path.parent.name == "wheels":
             path.chmod(0o644)
     made = out / f"tilth_{version}_{architecture}.deb"
-    build = [
-        "dpkg-deb",
-        "--root-owner-group",
-        "-Zgzip",
-        "-z1",
-        "--build",
-        tree,
-        made,
-    ]  # wheels are packed already
+    said = ["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1"]  # little: wheels are packed already
     environment = {**os.environ, "SOURCE_DATE_EPOCH": commit_s}
-    subprocess.run(build, check=True, stdout=subprocess.DEVNULL, env=environment)
+    subprocess.run([*said, "--build", tree, made], check=True, stdout=subprocess.DEVNULL, env=environment)
     return made
 
 
