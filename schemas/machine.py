@@ -358,6 +358,11 @@ class Zenoh(_Section):
         description="true: it is meant that everybody on the network may read, mark and speak in the "
         "daemon's name, where listen, connect or config lets them in without keys",
     )
+    ros: bool = Field(
+        default=False,
+        description="true: also publish as a node of ROS 2, for rmw_zenoh; needs the package `tilth[ros]`",
+    )
+    ros_domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID of that node")
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
