@@ -363,13 +363,14 @@ class SoilMemory:
     def _alike(self, at_s: Array, epochs: Array) -> tuple[Array, Array]:
         """Correlation with the level in each window by age, and by both age and changes, (windows, …)."""
         own_s, own = self._ages
-        near = np.exp(-np.abs(own_s[:, None] - at_s) / SOIL_FIELD.ages_s)
+        near = np.asarray(np.exp(-np.abs(own_s[:, None] - at_s) / SOIL_FIELD.ages_s), np.float64)
         return near, near * (own[:, None] == epochs)
 
     @property
     def _of_time(self) -> tuple[Array, Array]:
         """Variances of the six between times far apart: of what only ages, and of what may change, (6,)."""
-        variance, stiffness = np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2, np.arange(6) < AXLES
+        variance: Array = np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2
+        stiffness = np.arange(6) < AXLES
         return np.where(stiffness, 0.0, variance), np.where(stiffness, variance, 0.0)
 
     @property
