@@ -191,8 +191,8 @@ def test_in_patches_it_steers_for_the_soil_ahead(line: Plan, nominal: Rig) -> No
         assert subject.ahead() == pytest.approx((24.5, 0.0), abs=0.1)
         ahead = judge(replace(there, excitation={"patchy": patchy}), 0.1, STALE)
         for k in range(100):
-            force = subject.estimate(judge(estimate(1.0), 0.1, STALE), 0.1 * k, ahead)
-        told[patchy] = np.log(force.theta / nominal.theta)
+            subject.estimate(judge(estimate(1.0), 0.1, STALE), 0.1 * k, ahead)
+        told[patchy] = np.log(subject.follower.theta / nominal.theta)
     distance = abs(math.log(0.6)) * math.sqrt(6.0 / 0.2)
     assert told[0.9] == pytest.approx(np.full(6, math.log(0.6)) * (1.0 - 1.0 / distance))
     assert told[0.4] == pytest.approx(np.zeros(6))
