@@ -230,14 +230,22 @@ def _doubt_table(machine: Machine) -> None:
 def _patches_table(machine: Machine) -> None:
     """Fields in patches, after the second row: how much of the gap to all-knowing gains is recovered."""
     _say("| seed, where | fixed | adapting | knowing, cm | of the gap recovered |\n|---|---|---|---|---|")
+    every: list[list[DrivenPath]] = [[], [], []]
     for seed in PATCHES:
-        runs = [driven(machine, seed, mode, LANDS, patches=True, slack_s=STRAYED_S) for mode in MODES]
-        for where, turn in (("rows", False), ("turns", True)):
-            fixed, adapting, knowing = (rms([one], True, turn) for one in runs)
-            counts = fixed - knowing >= LEAST_GAP * fixed
-            share = f"{(fixed - adapting) / (fixed - knowing):.0%}" if counts else "no gap"
-            cells = " | ".join(f"{100 * each:.1f}" for each in (fixed, adapting, knowing))
-            _say(f"| {seed}, {where} | {cells} | {share} |")
+        for runs, mode in zip(every, MODES, strict=True):
+            runs.append(driven(machine, seed, mode, LANDS, patches=True, slack_s=STRAYED_S))
+        _recovered(str(seed), [runs[-1:] for runs in every])
+    _recovered("all", every)
+
+
+def _recovered(name: str, runs: list[list[DrivenPath]]) -> None:
+    """runs: of each of MODES."""
+    for where, turn in (("rows", False), ("turns", True)):
+        fixed, adapting, knowing = (rms(each, True, turn) for each in runs)
+        counts = fixed - knowing >= LEAST_GAP * fixed
+        share = f"{(fixed - adapting) / (fixed - knowing):.0%}" if counts else "no gap"
+        cells = " | ".join(f"{100 * each:.1f}" for each in (fixed, adapting, knowing))
+        _say(f"| {name}, {where} | {cells} | {share} |")
 
 
 def _line(name: str, runs: list[DrivenPath]) -> None:
