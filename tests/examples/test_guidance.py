@@ -175,6 +175,26 @@ def test_what_may_not_be_used_brings_back_the_nominal_gains_smoothly(
     assert before == pytest.approx(nominal.theta)
 
 
+def test_a_dither_is_added_in_rows_while_a_stiffness_is_unknown(line: Plan, nominal: Rig) -> None:
+    moved = {}
+    for sd in (0.05, 0.3):
+        subjects = [
+            Controller(line, nominal, ORIGIN_DEG, replace(LIMITS, shadow=True), dither)
+            for dither in (0.0, 0.005)
+        ]
+        rows = tuple(replace(p, sd=sd * (p.value or 0.0)) for p in estimate(1.0).parameters)
+        off = []
+        for k in range(30):
+            now = 0.1 * k
+            for subject in subjects:
+                subject.estimate(judge(replace(estimate(1.0), parameters=rows), 0.1, STALE), now)
+                subject.pose(pose(now, x=20.0 + 0.45 * k), now)
+            bends = [command_at(subject, now)[1] for subject in subjects]
+            off.append(nominal.wheelbase * (bends[1] - bends[0]))
+        moved[sd] = np.std(off)
+    assert moved[0.05] == 0.0 and 0.001 < moved[0.3] < 0.01
+
+
 def test_in_patches_it_steers_for_the_soil_ahead(line: Plan, nominal: Rig) -> None:
     """By its mean, also where that is too wide for a number, and not where soil is hardly in patches."""
     means, wide = tuple(np.log(0.6 * nominal.theta).tolist()), tuple((0.2 * np.eye(6)).ravel().tolist())
