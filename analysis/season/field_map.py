@@ -74,6 +74,7 @@ class MappedField:
     sd: Array
     features: tuple[MapFeature, ...]
     changed: tuple[str, ...]  # runs since which the soil is another one
+    windows: tuple[SoilWindow, ...]  # of the memory
 
 
 def fields_of(stretches: Sequence[PlacedStretch]) -> list[list[PlacedStretch]]:
@@ -166,7 +167,7 @@ def mapped(
     blank = np.where(known, 0.0, np.nan)
     return MappedField(
         number, origin_deg, tuple(stretches), ways, _outline(ways), cell_m, grid, mean + blank, sd + blank,
-        tuple(features), tuple(changed),
+        tuple(features), tuple(changed), tuple(soil.windows),
     )  # fmt: skip
 
 

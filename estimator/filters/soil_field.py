@@ -59,6 +59,7 @@ class SoilFieldTuning:
 
 
 SOIL_FIELD: Final = SoilFieldTuning()
+_KINDS: Final = len(SOIL_FIELD.sds) * len(SOIL_FIELD.lengths_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +69,8 @@ class Told:
     information: Annotated[Array, Shape((6, 6))]
     vector: Annotated[Array, Shape((6,))]  # information @ (what it says alone, less the prior's mean)
     model_sd: Annotated[Array, Shape((6,))]  # of errors of the model, in common with others of its method
+    within: Annotated[Array, Shape((_KINDS,))] = field(default_factory=lambda: np.zeros(_KINDS))
+    """Logarithm of the likelihood of how soil differed along its way, by each of VARIOGRAMS."""
 
 
 def told(
@@ -127,7 +130,7 @@ class SoilWindow:
 
     method: str
     begin_ns: int
-    passing: int  # number of the pass
+    passing: int  # number of the pass; -1: of an earlier run
     path: Annotated[Array, Shape((-1, AXLES, 2))]  # north and east of each axle, m, at places along it
     told: Told
     epoch: int = 0  # number of the changes in time before it
@@ -141,6 +144,7 @@ def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
         one.told.information + other.told.information,
         one.told.vector + other.told.vector,
         np.maximum(one.told.model_sd, other.told.model_sd),
+        one.told.within + other.told.within,
     )
     latest = max(one, other, key=lambda window: window.begin_ns)
     return replace(latest, told=told, worked=(one.worked + other.worked) / 2.0)
@@ -164,11 +168,13 @@ class KeptSoil:
 
     @property
     def finite(self) -> bool:
-        return all(
-            np.all(np.isfinite(part))
-            for w in self.windows
-            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd, w.worked)
-        ) and all(np.all(np.isfinite(point.place)) for point in self.way)
+        def numbers(w: SoilWindow) -> tuple[Array, ...]:
+            told = w.told
+            return w.path, told.information, told.vector, told.model_sd, told.within, w.worked
+
+        return all(np.all(np.isfinite(part)) for w in self.windows for part in numbers(w)) and all(
+            np.all(np.isfinite(point.place)) for point in self.way
+        )
 
 
 class At(NamedTuple):
@@ -321,12 +327,16 @@ class SoilMemory:
             key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
             for key, one in self._kinds.items()
         }
+        along = np.zeros(len(self.variograms))
+        if self.variograms is VARIOGRAMS:
+            along += sum(window.told.within for window in self.windows)
         found, logs = [], []
-        for one in self.variograms:
+        for one, likely in zip(self.variograms, along.tolist(), strict=True):
             root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            logs.append(math.log(one.beforehand) - 0.5 * distance - float(np.sum(np.log(np.diag(root)))))
+            likely -= 0.5 * distance + float(np.sum(np.log(np.diag(root))))
+            logs.append(math.log(one.beforehand) + likely)
             found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0
@@ -360,8 +370,14 @@ class SoilMemory:
     @property
     def _of_time(self) -> tuple[Array, Array]:
         """Variances of the six between times far apart: of what only ages, and of what may change, (6,)."""
-        variance, stiffness = np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2, np.arange(6) < AXLES
+        variance: Array = np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2
+        stiffness = np.arange(6) < AXLES
         return np.where(stiffness, 0.0, variance), np.where(stiffness, variance, 0.0)
+
+    @property
+    def log_likelihoods(self) -> Array:
+        """Of what was told, by each hypothesis, (v,)."""
+        return np.array([one.score - math.log(one.soil.beforehand) for one in self._scored])
 
     @property
     def _hypotheses(self) -> list[_Hypothesis]:

@@ -53,6 +53,7 @@ class PlaceTuning:
     most_windows: int = tuned(32, "stretches", "that are kept; beyond, the two that are nearest become one")
     track_ns: int = tuned(2_000_000_000, "ns", "between two places of the way that is kept")
     lead_ns: int = tuned(10_000_000_000, "ns", "at the end of a row, which a window of the turn may have too")
+    near_m: float = tuned(300.0, "m", "from a way of an earlier run: further off is another field")
     track: int = tuned(
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
     )
@@ -96,6 +97,8 @@ class PlaceState(MethodState):
     heading: float = 0.0  # rad, of the pass
     window_s: float = 0.0
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
+    map_ns: int = 0  # when the field's map, and all else of earlier runs, was told last
+    earlier: SoilMemory | None = field(default=None, metadata=NOT_STORED)  # of windows of earlier runs
     soil: SoilMemory | None = field(default=None, metadata=NOT_STORED)
 
 
@@ -356,6 +359,32 @@ def _asked(state: PlaceState) -> AskedGround:
     return AskedGround(worked=state.track[-1].worked) if state.track else AskedGround()
 
 
+def by_earlier_runs(state: PlaceState) -> soil_field.At | None:
+    """What earlier runs alone tell of where the rig is; None on another field than theirs."""
+    told = [window for window in state.windows if window.passing < 0]
+    if state.axles is None or not told:
+        return None
+    ways = np.concatenate([window.path[:, 1] for window in told])
+    if float(np.linalg.norm(ways - state.axles[1], axis=1).min()) > PLACE.near_m:
+        return None
+    if state.earlier is None or list(map(id, state.earlier.windows)) != list(map(id, told)):
+        state.earlier = SoilMemory(told, state.prior_sd)
+    return state.earlier.at(state.axles, _asked(state))
+
+
+def add(state: PlaceState, field_map: PlaceState) -> None:
+    """Before the first frame: what a season tells of its fields. Of what the rig itself has kept, only what
+    is later than that counts beside it: the season may have the same driving."""
+    if field_map.origin_deg is None:
+        return
+    later = [window for window in state.windows if window.begin_ns > field_map.informed_ns]
+    if state.origin_deg is not None:
+        _move_origin(field_map, state.origin_deg)
+    state.origin_deg, state.windows = field_map.origin_deg, [*field_map.windows, *later]
+    state.informed_ns = max(field_map.informed_ns, state.informed_ns if later else 0)
+    state.map_ns = state.informed_ns
+
+
 def _soil(state: PlaceState) -> SoilMemory:
     """By the windows that there are now. Another thread may ask too: what it derives from a list of before is
     not taken for that of the next."""
@@ -371,4 +400,5 @@ def clock_stepped(state: PlaceState, by_ns: int) -> None:
     state.rows_ns.clear()
     state.axles = None
     state.windows = [replace(window, begin_ns=window.begin_ns + by_ns) for window in state.windows]
+    state.map_ns += by_ns if state.map_ns else 0
     step_clock(state, by_ns)

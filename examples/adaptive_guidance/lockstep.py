@@ -28,8 +28,7 @@ from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose
 from tilth.schemas.machine import Machine
 from tilth.simulator.drive import drive
-from tilth.simulator.receivers import ORIGIN_DEG
-from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.scenario import ORIGIN_DEG, STEP_S, Scenario
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.tractor import Setting, Truth
 

@@ -30,8 +30,7 @@ from tilth.schemas.flow import (
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.pgn_table import row
-from tilth.simulator.receivers import ORIGIN_DEG
-from tilth.simulator.scenario import Ground, Scenario, Soil, SoilChange
+from tilth.simulator.scenario import ORIGIN_DEG, Ground, Scenario, Soil, SoilChange
 
 WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
 
