@@ -256,9 +256,9 @@ def _dither_table(machine: Machine) -> None:
     for degrees in (0.0, DITHER_DEG):
         one = driven(machine, SEEDS[0], "adapting", ONE_SOIL, dither=math.radians(degrees))
         own = None if one.rows is None else one.rows.own_steering
-        sds = [] if one.rows is None else np.sqrt(np.diag(np.reshape(one.rows.log_covariance, (6, 6)))[:3])
         told = "-" if own is None else f"{math.degrees(own.rms):.2f}; {own.share:.0%}"
-        cells = " ".join(f"{100 * sd:.0f}" for sd in sds)
+        variances = () if one.rows is None else one.rows.log_covariance[:15:7]  # the diagonal's first three
+        cells = " ".join(f"{100 * math.sqrt(variance):.0f}" for variance in variances)
         _say(f"| {degrees:g} | {100 * rms([one], False, False):.1f} | {told} | {cells} |")
 
 
