@@ -1,7 +1,7 @@
 """Does an interval hold at the place where it was published? Fields in patches with a wet end, drawn anew.
 
-    python bench/patches.py [--count 8] [--first 0] [--minutes 12] [--one-soil] [--processes 1]
-                            [--keep patches.jsonl] [--summary]
+    python bench/patches.py [--count 8] [--first 0] [--minutes 12] [--one-soil] [--plant spatial]
+                            [--processes 1] [--keep patches.jsonl] [--summary]
 
 Drive k is of field k by `scenario_for`: patches of 20 to 60 m with an sd of 10 to 30 %, whose lengths along
 and across and whose correlation between axles differ, and an end that is 30 to 50 % softer; rows in order, in
@@ -14,10 +14,10 @@ the same drives have neither patches nor a wet end.
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
 import estimation_runs
 import numpy as np
@@ -59,7 +59,11 @@ Array = NDArray[np.float64]
 Result = dict[str, Any]
 """Of `follow`: one line of JSON."""
 
+Plant = Literal["planar", "spatial"]
 NAME: Final = "patches"
+ROUGH: Final[Mapping[Plant, dict[str, Any]]] = {
+    "planar": {"roll_sd_deg": 0.5, "force_sd": 0.008, "rut": True}, "spatial": {"rms": 0.01},
+}  # fmt: skip
 METHODS: Final = ("place", "pem", "recommended")
 ORACLE: Final = "oracle"
 WHERE: Final = ("rows", "turns")
@@ -73,7 +77,7 @@ AHEAD_S: Final = 25.0  # before the wheels are there
 AT: Final = {name: k for k, name in enumerate(STATES)}
 
 
-def scenario_for(k: int, minutes: float, one_soil: bool = False) -> Scenario:
+def scenario_for(k: int, minutes: float, one_soil: bool = False, plant: Plant = "planar") -> Scenario:
     """Field k."""
     rng = np.random.default_rng([53, k])
     length, patch = rng.uniform(100.0, 180.0), rng.uniform(20.0, 60.0)
@@ -89,12 +93,11 @@ def scenario_for(k: int, minutes: float, one_soil: bool = False) -> Scenario:
     if one_soil:
         soil = replace(soil, changes=(), patch_log_sd=0.0)
     steered = Autosteer("pid") if k % 4 >= 2 else None
-    turn = HeadlandTurn((6.1, 12.2)[k % 2], 6.0)
+    turn, speed = HeadlandTurn((6.1, 12.2)[k % 2], 6.0), rng.uniform(2.8, 4.2)
     return Scenario(
-        seconds=60.0 * minutes, speed=rng.uniform(2.8, 4.2),
+        seconds=60.0 * minutes, plant=plant, speed=speed,
         steering=Fieldwork(length=length, turns=(turn,), autosteer=steered),
-        ground=Ground(slope_deg=rng.uniform(0.0, 3.0), roll_sd_deg=0.5, force_sd=0.008, rut=True), soil=soil,
-        other_traffic=False,
+        ground=Ground(slope_deg=rng.uniform(0.0, 3.0), **ROUGH[plant]), soil=soil, other_traffic=False,
     )  # fmt: skip
 
 
@@ -165,9 +168,9 @@ def _into(end: SoilChange, truth: Truth, axles: Array) -> list[int]:
     return (np.flatnonzero(np.diff(inside.astype(int)) > 0) + 1).tolist()
 
 
-def follow(first: int, minutes: float, one_soil: bool, k: int) -> Result:
+def follow(first: int, minutes: float, one_soil: bool, plant: Plant, k: int) -> Result:
     """Field number first + k: what was published in it, beside the truth."""
-    began, asked = time.perf_counter(), scenario_for(first + k, minutes, one_soil)
+    began, asked = time.perf_counter(), scenario_for(first + k, minutes, one_soil, plant)
     machine = estimation_runs.machine()
     truth = drive(machine, first + k, asked.seconds, asked)
     run = Driven(machine, truth, machine)
@@ -189,7 +192,7 @@ def follow(first: int, minutes: float, one_soil: bool, k: int) -> Result:
             "stretch": np.floor(north[at] / asked.soil.patch_length).tolist(),
         }
     return {
-        "row": name_of(one_soil), "seed": k, "first": first, "scale": minutes, "field": first + k,
+        "row": name_of(one_soil, plant), "seed": k, "first": first, "scale": minutes, "field": first + k,
         "methods": methods, "ahead": watch.ahead,
         "changes": [at for at, kind, _ in heard.events if kind == "soil_change"],
         "patch_m": asked.soil.patch_length, "patch_sd": asked.soil.patch_log_sd,
@@ -197,14 +200,14 @@ def follow(first: int, minutes: float, one_soil: bool, k: int) -> Result:
     }  # fmt: skip
 
 
-def name_of(one_soil: bool) -> str:
-    return f"{NAME}, one soil" if one_soil else NAME
+def name_of(one_soil: bool, plant: Plant) -> str:
+    return NAME + (", one soil" if one_soil else "") + (", spatial" if plant == "spatial" else "")
 
 
-def row(first: int, one_soil: bool, bench: Bench) -> list[Line]:
+def row(first: int, one_soil: bool, plant: Plant, bench: Bench) -> list[Line]:
     """The lines of the table; fields that a file has are not driven again."""
-    run = partial(follow, first, bench.scale, one_soil)
-    have = spatial_rows.kept(bench, name_of(one_soil), first)
+    run = partial(follow, first, bench.scale, one_soil, plant)
+    have = spatial_rows.kept(bench, name_of(one_soil, plant), first)
     return lines_of(bench.each(run, 8, have, partial(spatial_rows.keep, bench)))
 
 
@@ -294,8 +297,10 @@ def main() -> None:
     parser = drives_parser(__doc__, 8, "patches.jsonl", "fields")
     parser.add_argument("--minutes", type=float, default=12.0, help="of each drive")
     parser.add_argument("--one-soil", action="store_true", help="without patches and wet end")
+    parser.add_argument("--plant", choices=get_args(Plant), default="planar")
     args = drives_asked(parser)
-    rows = [Row(name_of(args.one_soil), "≥ 92 % hold", partial(row, args.first, args.one_soil))]
+    name = name_of(args.one_soil, args.plant)
+    rows = [Row(name, "≥ 92 % hold", partial(row, args.first, args.one_soil, args.plant))]
     print_rows(args, rows, args.minutes, 150)
 
 

@@ -357,15 +357,15 @@ class SoilMemory:
     @cached_property
     def _ages(self) -> tuple[Array, Array]:
         """Of each window: when it began, s, and the number of the changes in time before it."""
-        begin_ns = np.array([window.begin_ns for window in self.windows], np.int64)
-        epochs = np.array([window.epoch for window in self.windows], np.float64)
-        return np.asarray(begin_ns * 1e-9, np.float64), epochs
+        begin_s = np.array([window.begin_ns * 1e-9 for window in self.windows], np.float64)
+        return begin_s, np.array([window.epoch for window in self.windows], np.float64)
 
     def _alike(self, at_s: Array, epochs: Array) -> tuple[Array, Array]:
         """Correlation with the level in each window by age, and by both age and changes, (windows, …)."""
         own_s, own = self._ages
-        near = np.asarray(np.exp(-np.abs(own_s[:, None] - at_s) / SOIL_FIELD.ages_s), np.float64)
-        return near, near * (own[:, None] == epochs)
+        near: Array = np.exp(-np.abs(own_s[:, None] - at_s) / SOIL_FIELD.ages_s)
+        both: Array = near * (own[:, None] == epochs)
+        return near, both
 
     @property
     def _of_time(self) -> tuple[Array, Array]:

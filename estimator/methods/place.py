@@ -44,7 +44,6 @@ from tilth.schemas.reasons import Code
 Array = NDArray[np.float64]
 
 METHOD: Final = "place"
-IMPLEMENT: Final = 2  # of the axles
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +118,7 @@ def take(state: PlaceState, machine: Machine, pose: Pose, segment: Any) -> Estim
         if not state.track or pose.t_ns - state.track[-1].t_ns >= PLACE.track_ns:
             state.track.append(TrackPoint(pose.t_ns, axles, worked(state, machine, axles)))
             if machine.implement.working_width:
-                _lengthen(state.way, WorkedPoint(state.passing, axles[IMPLEMENT]))
+                _lengthen(state.way, WorkedPoint(state.passing, axles[-1]))
     if not is_due(state, pose.t_ns, REPORTING.publish_ns):
         return None
     return estimate(state, machine, pose.t_ns)
@@ -139,16 +138,12 @@ def _axles(machine: Machine, pose: Pose) -> Array | None:
 def worked(state: PlaceState, machine: Machine, axles: Array) -> Array:
     """1 where the implement has worked the ground under an axle in a pass before, else 0, (3,). What it does
     there nobody tells: that it is let down, not lifted, is taken for granted."""
-    begin, way = np.zeros((0, 2)), state.way
-    if len(way) > 1:
-        places = np.array([point.place for point in way])
-        passing = np.array([point.passing for point in way])
-        leg = (passing[1:] == passing[:-1]) & (passing[1:] != state.passing)
-        begin, along = places[:-1][leg], np.diff(places, axis=0)[leg]
-    if not len(begin):
-        return np.zeros(AXLES)
-    off = _off_legs(axles[:, None], begin, along)
-    return np.asarray(off.min(axis=1) < machine.implement.working_width / 2.0, np.float64)
+    places = np.array([point.place for point in state.way]).reshape(-1, 2)
+    passing = np.array([point.passing for point in state.way])
+    leg = (passing[1:] == passing[:-1]) & (passing[1:] != state.passing)
+    off = _off_legs(axles[:, None], places[:-1][leg], np.diff(places, axis=0)[leg])
+    half = machine.implement.working_width / 2.0
+    return np.asarray(off.min(axis=1, initial=math.inf) < half, np.float64)
 
 
 def _off_legs(places: Array, begin: Array, along: Array) -> Array:

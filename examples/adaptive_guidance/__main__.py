@@ -10,6 +10,7 @@ lets go of the steering first.
 
 import argparse
 import json
+import math
 import signal
 import sys
 import time
@@ -84,7 +85,8 @@ def run(
             return 1
         wires.wait(PERIOD_S)
     work = Work(options.rows, options.length, options.spacing, options.radius)
-    controller = Controller(plan(work, rig.rig), rig.rig, (options.origin[0], options.origin[1]), LIMITS)
+    origin, dither = (options.origin[0], options.origin[1]), math.radians(options.dither)
+    controller = Controller(plan(work, rig.rig), rig.rig, origin, LIMITS, dither)
     wires.command_on(open_bus())
     turns = ControlLoop(wires, controller, options.gains == "adapting")
     next_turn = next_word = time.monotonic()
@@ -118,6 +120,12 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--length", type=float, default=work.length, help="of a row, m")
     parser.add_argument("--spacing", type=float, default=work.spacing, help="of rows, m")
     parser.add_argument("--radius", type=float, default=work.radius, help="of turns, m")
+    parser.add_argument(
+        "--dither",
+        type=float,
+        default=0.0,
+        help="deg, added in rows while a stiffness is unknown, such as 0.3",
+    )
     parser.add_argument("--gains", choices=("adapting", "fixed"), default="adapting")
     return parser
 

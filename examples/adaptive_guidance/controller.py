@@ -29,6 +29,7 @@ STEERING: Final = 0xF0  # address of the steering ECU
 STALE: Final = Staleness(silence_s=3.0, data_s=300.0)
 LIMITS: Final = Limits(ratio=3.0, per_s=0.1, log_sd=0.3, doubt_sd=3.0)
 PLACE_DOUBT_SD: Final = 1.0  # where soil is in patches
+SURE_SD: Final = 0.15  # of each stiffness: a dither ends
 AHEAD_S: Final = 1.0  # that the place of which a controller asks is ahead: an estimate comes each second
 
 
@@ -37,13 +38,19 @@ class Controller:
     gains."""
 
     def __init__(
-        self, plan: Plan, nominal: Rig, origin_deg: tuple[float, float], limits: Limits = LIMITS
+        self,
+        plan: Plan,
+        nominal: Rig,
+        origin_deg: tuple[float, float],
+        limits: Limits = LIMITS,
+        dither: float = 0.0,
     ) -> None:
-        """nominal: as the machine file has it. origin_deg: latitude and longitude of the plan's x = y = 0."""
+        """nominal: as the machine file has it. origin_deg: latitude and longitude of the plan's x = y = 0.
+        dither: rad, sd of what is added to the commands in rows while a stiffness is unknown."""
         self.follower = Follower(plan, nominal)
         self.code, self.reason = "no_pose", "no pose yet"  # why nothing is commanded; "" while it steers
         self.unusable = 0  # poses that lack something
-        self._limits = limits
+        self._limits, self._dither = limits, dither
         self._cautious = Cautious(nominal.theta, limits)
         self._plane = _plane(origin_deg)
         self._origin = math.nan, math.nan  # latitude and longitude of the poses' origin
@@ -71,6 +78,8 @@ class Controller:
         self._cautious.limits = self._limits if told is None else of_place
         force = self._cautious.step(latest if told is None else told, now)
         self.follower.theta = force.theta
+        in_row = self.follower.plan.row[round(self.follower.station)] >= 0
+        self.follower.dither = self._dither if in_row and not _is_sure(latest) else 0.0
         return force
 
     def pose(self, pose: Pose, at: float) -> None:
@@ -106,6 +115,13 @@ class Controller:
             return None
         north, east = self._shift
         return BodyState(x + north, y + east, heading, v, r, body.roll or 0.0)
+
+
+def _is_sure(latest: Latest) -> bool:
+    """Whether all stiffnesses may be used, and are known to SURE_SD."""
+    rows = () if latest.estimate is None else latest.estimate.parameters[:3]
+    known = [p.value is not None and p.sd is not None and p.sd < SURE_SD * p.value for p in rows]
+    return bool(known) and all(known) and all(latest.usable[:3])
 
 
 def _of_means(ahead: Latest) -> Latest | None:

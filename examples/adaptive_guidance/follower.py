@@ -31,6 +31,7 @@ SPEED_STEP: Final = 0.25  # m/s: gains are made anew where the speed has moved b
 SLOWEST: Final = 0.5  # m/s, of any design
 LOG_STEP: Final = 0.02  # gains are made anew where the logarithm of a parameter has moved by more
 POSE_OLD_S: Final = 1.0  # without a pose for longer there is nothing to steer by
+DITHER_S: Final = 0.5  # correlation time of a dither
 REACH_M: Final = 4.0  # the plan is searched this far ahead of, and behind, where the rig was
 
 
@@ -71,6 +72,7 @@ class Follower:
     rig: Rig  # as the machine file believes it: the nominal parameters are its own
     limit: float = math.radians(33.0)  # rad, of the command
     rate: float = math.radians(20.0)  # rad/s, of the command
+    dither: float = 0.0  # rad, sd of what is added to the commands; who sets it decides when
     theta: Array = field(init=False)  # (6,): the parameters to design for, moving no faster than gains should
     station: float = 0.0  # sample of the plan at the last pose
     _design: Design = field(init=False)
@@ -82,6 +84,8 @@ class Follower:
     _deviation: float = 0.0  # of the commanded angle
     _commanded: float = 0.0  # the commanded angle itself
     _ticked: float | None = None
+    _shaken: float = 0.0  # rad, of the last command
+    _rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def __post_init__(self) -> None:
         self.theta = self.rig.theta
@@ -134,13 +138,20 @@ class Follower:
         rate += float(np.sum(made.preview * self._force(ahead, speed)))
         rate += float(made.steady[3:] @ np.concatenate([self._gravity(), state[n:]]))
         planned = self._planned(station + speed * PERIOD_S / STEP, speed)
-        commanded = planned + self._deviation + rate * period
+        commanded = planned + self._deviation + rate * period + self._shake(period)
         most = self.rate * period
         commanded = min(max(commanded, self._commanded - most), self._commanded + most)
         self._commanded = min(max(commanded, -self.limit), self.limit)
         self._deviation = self._commanded - planned
         self._given.append((now, self._deviation))
         return Command(self._commanded)
+
+    def _shake(self, period: float) -> float:
+        """By how much the dither has moved since the last command, rad."""
+        stays = math.exp(-period / DITHER_S)
+        drawn = self._rng.standard_normal() * self.dither * math.sqrt(1.0 - stays * stays)
+        before, self._shaken = self._shaken, stays * self._shaken + drawn
+        return self._shaken - before
 
     def _silent(self, code: str, reason: str) -> Command:
         self._ticked = None

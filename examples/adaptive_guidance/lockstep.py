@@ -46,6 +46,7 @@ class RunTrace:
     """What one run leaves behind besides the truth."""
 
     estimates: TimedEstimates = field(default_factory=list)
+    rows: Estimate | None = None  # the last of the method rows
     theta: list[Array] = field(default_factory=list)  # (6,) in force at each command
     taken: int = 0  # commands
     refused: dict[str, int] = field(default_factory=dict)
@@ -73,6 +74,8 @@ class Loop:
                 value = publication.value
                 if isinstance(value, Pose):
                     self.controller.pose(value, (value.t_ns - self.zero_ns) * 1e-9)
+                elif isinstance(value, Estimate) and publication.topic == "/soil_tire/rows":
+                    self.trace.rows = value
                 elif isinstance(value, Estimate) and publication.topic == "/soil_tire":
                     self._last = now, value
                     self.trace.estimates.append(self._last)
@@ -101,6 +104,7 @@ def run(
     mode: str,
     *,
     limits: Limits = LIMITS,
+    dither: float = 0.0,
     known: Collection[str] = PARAMETERS,
     estimates: TimedEstimates | None = None,
     slack_s: float = 3.0,
@@ -108,7 +112,8 @@ def run(
     """Drive the field at the scenario's speed (a number). mode: fixed | adapting | knowing.
 
     known: what of the parameters who knows does know; he takes the rest for nominal. estimates: what is
-    said to who adapts, instead of what the fold finds. slack_s: longer than the plan; who strays needs more.
+    said to who adapts, instead of what the fold finds. dither: as of Controller, rad. slack_s: longer than
+    the plan; who strays needs more.
     """
     nominal = rig_of(machine)
     line = plan(work, nominal)
@@ -119,7 +124,7 @@ def run(
     drivers: list[LiveDriver] = []
 
     def driver(setting: Setting) -> LiveDriver:
-        controller = Controller(line, nominal, ORIGIN_DEG, limits)
+        controller = Controller(line, nominal, ORIGIN_DEG, limits, dither)
         fold = GuardedFold(machine)
         fold.ready = mode == "adapting" and estimates is None  # others need poses only
         soil = _soil(setting, controller, nominal, known)

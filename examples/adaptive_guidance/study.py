@@ -6,6 +6,7 @@ patches`). Everything is from fixed seeds. Prints the tables of docs/guidance.md
 """
 
 import argparse
+import math
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 SEEDS: Final = (1, 2, 3)
 WORK: Final = Work(rows=8, length=120.0, spacing=54.0, radius=20.0)
 TIGHT: Final = replace(WORK, radius=12.0)
+ONE_SOIL: Final = replace(WORK, rows_before=WORK.rows)  # it changes behind the last row
+DITHER_DEG: Final = 0.3
 SPEED: Final = 4.5  # m/s
 SOFTER: Final = 0.6
 SETTLED_S: Final = 10.0  # of the start that do not count
@@ -60,6 +63,7 @@ class DrivenPath(NamedTuple):
     row: NDArray[np.int64]  # of the plan there, below zero in a turn
     after: NDArray[np.bool_]  # whether the implement is on the soft half
     estimates: TimedEstimates
+    rows: Estimate | None = None  # the last of the method rows
 
 
 def packaged() -> Machine:
@@ -112,7 +116,7 @@ def driven(
     after = truth.implement.y[::EVERY] > middle(work)
     if patches:
         after = (np.abs(row) >= LEARNED) & (at < len(line.row) - 20)  # behind which it brakes
-    return DrivenPath(truth.time[::EVERY], error, row, after, trace.estimates)
+    return DrivenPath(truth.time[::EVERY], error, row, after, trace.estimates, trace.rows)
 
 
 def rms(runs: Iterable[DrivenPath], after: bool, turn: bool) -> float:
@@ -167,15 +171,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--figure", type=Path, help="write the figure here")
     parser.add_argument(
-        "--part", choices=("main", "known", "wrong", "doubt", "patches"), help="only this table"
+        "--part", choices=("main", "known", "wrong", "doubt", "patches", "dither"), help="only this table"
     )
     args = parser.parse_args()
     machine = packaged()
-    if args.part == "doubt":
-        _doubt_table(machine)
-        return
-    if args.part == "patches":
-        _patches_table(machine)
+    if args.part in TABLES:
+        TABLES[args.part](machine)
         return
     runs: dict[str, list[DrivenPath]] = {
         mode: [driven(machine, s, mode) for s in SEEDS] for mode in MODES[::2]
@@ -230,14 +231,39 @@ def _doubt_table(machine: Machine) -> None:
 def _patches_table(machine: Machine) -> None:
     """Fields in patches, after the second row: how much of the gap to all-knowing gains is recovered."""
     _say("| seed, where | fixed | adapting | knowing, cm | of the gap recovered |\n|---|---|---|---|---|")
+    every: list[list[DrivenPath]] = [[], [], []]
     for seed in PATCHES:
-        runs = [driven(machine, seed, mode, LANDS, patches=True, slack_s=STRAYED_S) for mode in MODES]
-        for where, turn in (("rows", False), ("turns", True)):
-            fixed, adapting, knowing = (rms([one], True, turn) for one in runs)
-            counts = fixed - knowing >= LEAST_GAP * fixed
-            share = f"{(fixed - adapting) / (fixed - knowing):.0%}" if counts else "no gap"
-            cells = " | ".join(f"{100 * each:.1f}" for each in (fixed, adapting, knowing))
-            _say(f"| {seed}, {where} | {cells} | {share} |")
+        for runs, mode in zip(every, MODES, strict=True):
+            runs.append(driven(machine, seed, mode, LANDS, patches=True, slack_s=STRAYED_S))
+        _recovered(str(seed), [runs[-1:] for runs in every])
+    _recovered("all", every)
+
+
+def _recovered(name: str, runs: list[list[DrivenPath]]) -> None:
+    """runs: of each of MODES."""
+    for where, turn in (("rows", False), ("turns", True)):
+        fixed, adapting, knowing = (rms(each, True, turn) for each in runs)
+        counts = fixed - knowing >= LEAST_GAP * fixed
+        share = f"{(fixed - adapting) / (fixed - knowing):.0%}" if counts else "no gap"
+        cells = " | ".join(f"{100 * each:.1f}" for each in (fixed, adapting, knowing))
+        _say(f"| {name}, {where} | {cells} | {share} |")
+
+
+def _dither_table(machine: Machine) -> None:
+    """On one soil: what a dither costs in rows, and what rows tell with it."""
+    _say("| dither, deg | rows, cm | steering of its own in rows: rms, deg; share | sd of C in rows, % |")
+    _say("|---|---|---|---|")
+    for degrees in (0.0, DITHER_DEG):
+        one = driven(machine, SEEDS[0], "adapting", ONE_SOIL, dither=math.radians(degrees))
+        own = None if one.rows is None else one.rows.own_steering
+        told = "-" if own is None else f"{math.degrees(own.rms):.2f}; {own.share:.0%}"
+        variances = () if one.rows is None else one.rows.log_covariance[:15:7]  # the diagonal's first three
+        cells = " ".join(f"{100 * math.sqrt(variance):.0f}" for variance in variances)
+        _say(f"| {degrees:g} | {100 * rms([one], False, False):.1f} | {told} | {cells} |")
+
+
+TABLES: Final = {"doubt": _doubt_table, "patches": _patches_table, "dither": _dither_table}
+"""Those that need no runs of others."""
 
 
 def _line(name: str, runs: list[DrivenPath]) -> None:

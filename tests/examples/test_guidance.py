@@ -174,6 +174,26 @@ def test_what_may_not_be_used_brings_back_the_nominal_gains_smoothly(
     assert before == pytest.approx(nominal.theta)
 
 
+def test_a_dither_is_added_in_rows_while_a_stiffness_is_unknown(line: Plan, nominal: Rig) -> None:
+    moved = {}
+    for sd in (0.05, 0.3):
+        subjects = [
+            Controller(line, nominal, ORIGIN_DEG, replace(LIMITS, shadow=True), dither)
+            for dither in (0.0, 0.005)
+        ]
+        rows = tuple(replace(p, sd=sd * (p.value or 0.0)) for p in estimate(1.0).parameters)
+        off = []
+        for k in range(30):
+            now = 0.1 * k
+            for subject in subjects:
+                subject.estimate(judge(replace(estimate(1.0), parameters=rows), 0.1, STALE), now)
+                subject.pose(pose(now, x=20.0 + 0.45 * k), now)
+            bends = [command_at(subject, now)[1] for subject in subjects]
+            off.append(nominal.wheelbase * (bends[1] - bends[0]))
+        moved[sd] = np.std(off)
+    assert moved[0.05] == 0.0 and 0.001 < moved[0.3] < 0.01
+
+
 def test_in_patches_it_steers_for_the_soil_ahead(line: Plan, nominal: Rig) -> None:
     """By its mean, also where that is too wide for a number, and not where soil is hardly in patches."""
     means, wide = tuple(np.log(0.6 * nominal.theta).tolist()), tuple((0.2 * np.eye(6)).ravel().tolist())
@@ -190,8 +210,8 @@ def test_in_patches_it_steers_for_the_soil_ahead(line: Plan, nominal: Rig) -> No
         assert subject.ahead() == pytest.approx((24.5, 0.0), abs=0.1)
         ahead = judge(replace(there, excitation={"patchy": patchy}), 0.1, STALE)
         for k in range(100):
-            force = subject.estimate(judge(estimate(1.0), 0.1, STALE), 0.1 * k, ahead)
-        told[patchy] = np.log(force.theta / nominal.theta)
+            subject.estimate(judge(estimate(1.0), 0.1, STALE), 0.1 * k, ahead)
+        told[patchy] = np.log(subject.follower.theta / nominal.theta)
     distance = abs(math.log(0.6)) * math.sqrt(6.0 / 0.2)
     assert told[0.9] == pytest.approx(np.full(6, math.log(0.6)) * (1.0 - 1.0 / distance))
     assert told[0.4] == pytest.approx(np.zeros(6))

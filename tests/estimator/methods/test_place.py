@@ -261,6 +261,8 @@ def test_ground_is_worked_where_the_implement_went_in_a_pass_before() -> None:
     assert np.all(beside == 1.0) and not on.any() and not own.any()
     assert not place.worked(place.initial(MACHINE), machine, np.zeros((3, 2))).any()
     again = from_json_data(PlaceState, to_json_data(state))
+    for one in (state, again):  # it goes on as it was
+        passes(one, machine, 5, 1)
     assert to_json_data(again) == to_json_data(state)
 
 
