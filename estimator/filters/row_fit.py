@@ -228,10 +228,7 @@ def whitened_row(row: PlainRow, setup: RigSetup, point: Array) -> WhitenedRow:
     """A row through the filter at a point, (n,), of the unknowns."""
     ticks, rows, m, n = row.ticks, row.rows, len(row.rows), len(KEPT)
     speeds, stops = tabulated(ticks), row.stops
-    gains = KeptGains(
-        np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)),
-        np.zeros((len(stops.ticks) - 1, n, n)), row.used.copy(),
-    )  # fmt: skip
+    gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)), row.used.copy())
     model, mean_reading = filter_model(speeds, point, setup), np.array([ticks[:, WHEEL_ANGLE].mean()])
     each = Whitened(
         ticks, rows, gains, model, np.arange(m), np.ones(m), mean_reading, row.flanks, stops

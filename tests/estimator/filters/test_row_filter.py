@@ -31,8 +31,7 @@ def gains_for(record: Record, readings: Array, model: FilterModel, settling: int
     m, n = len(record.rows), len(KEPT)
     used = (record.rows[:, KIND] != NORTH).astype(np.float64)
     stops = stops_of(record.rows, len(record.ticks))
-    of_stops = np.empty((len(stops.ticks) - 1, n, n))
-    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), of_stops, used)
+    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), used)
     set_gains(record.ticks, record.rows, readings, MEAN, model, settling, stops, out)
     return out
 
