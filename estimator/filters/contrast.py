@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.free_noise import gradient_and_information, regress
 from tilth.estimator.filters.likelihood import ROLL_MODES, Iterate, Search, inverse, whitened_by_steering
-from tilth.estimator.filters.row_fit import OUTPUTS, ROW_FIT, epochs_of, order_at, output_of, positions_of
+from tilth.estimator.filters.plain_row import OUTPUTS, epochs_of, output_of, positions_of
+from tilth.estimator.filters.row_fit import ROW_FIT, order_at
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import NAMES, NOISES
 from tilth.estimator.record.record import OFFSET, PLACE, PSI, TICK, Record, U

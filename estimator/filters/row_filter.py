@@ -51,7 +51,6 @@ class KeptGains(NamedTuple):
     S: Array  # (m,), their variances
     H: Array  # (m, 25), of the prediction by the state at the tick
     K: Array  # (m, 25), by which the state follows an innovation
-    F: Array  # (stops, 25, 25), from a stop to the next
     used: Array  # (m,), 0.0 of a row that is left out
 
 
@@ -127,8 +126,8 @@ class GainRun(NamedTuple):
     out: KeptGains
     stops: Stops
     state: JointState  # of 25 states
-    F: Array  # (25, 25), of a tick at the present speed, as sensors
-    Q: Array  # (25, 25), to the next stop
+    F: Array  # (25, 25), of a tick at the present speed, then to the next stop
+    Q: Array  # (25, 25), of the latter
     sensors: Array  # (24, 25)
     H: Array  # (25,), of a reading
     error: Array  # (1,), innovation
@@ -175,7 +174,7 @@ def end_gains(stop: int, on: GainRun) -> None:
     """Propagate state and covariance to the next stop."""
     if stop < 0:
         return
-    x, following, P, F = on.state.x, on.state.following, on.state.P[0], on.out.F[stop]
+    x, following, P, F = on.state.x, on.state.following, on.state.P[0], on.F
     first, ticks = on.stops.ticks[stop], on.stops.ticks[stop + 1] - on.stops.ticks[stop]
     at = find_speed(drive_at(on.ticks, int(first + ticks // 2), on.state.unknowns).u, on.model.speeds)
     mix(on.model.F[ticks - 1], at, F)
@@ -202,7 +201,7 @@ def set_gains(
     """Run the filter over what is left of the readings, (m,), without steering, and fill out. settling:
     ticks in which nothing is an outlier."""
     n = model.start.shape[0]
-    out.e[:], out.S[:], out.K[:], out.H[:], out.F[:] = 0.0, 1.0, 0.0, 0.0, 0.0
+    out.e[:], out.S[:], out.K[:], out.H[:] = 0.0, 1.0, 0.0, 0.0
     P = model.start.copy().reshape(1, n, n)
     state = JointState(np.zeros(n), np.zeros(n), unknowns, np.zeros(0, np.int64), np.zeros(n), P)
     on = GainRun(
@@ -276,6 +275,7 @@ class ResponseRun(NamedTuple):
     following: Array  # (13, 1 + a), one tick later
     D: Array  # (25, 1 + a), the filter's state
     D_following: Array  # (25, 1 + a), overwritten
+    F: Array  # (25, 25), of D, to the next stop
     reading: Array  # (1 + a,)
     wheel_slopes: Array  # (N_ROW_UNKNOWNS,)
 
@@ -348,10 +348,11 @@ def end_response(stop_at: tuple[int, RowSpeed], on: ResponseRun) -> None:
     if stop < 0:
         return
     first, ticks = int(on.row.stops.ticks[stop]), int(on.row.stops.ticks[stop + 1] - on.row.stops.ticks[stop])
+    at = find_speed(drive_at(on.row.ticks, first + ticks // 2, on.unknowns).u, on.model.speeds)
     if ticks > 1:
-        at = find_speed(drive_at(on.row.ticks, first + ticks // 2, on.unknowns).u, on.model.speeds)
         step_response(first + 1, ticks - 1, at, on, on.following, on.z)
-    F, D, following = on.row.gains.F[stop], on.D, on.D_following
+    F, D, following = on.F, on.D, on.D_following
+    mix(on.row.filter.F[ticks - 1], at, F)
     following[:] = 0.0
     for i in range(D.shape[0]):
         for m in range(D.shape[0]):
@@ -380,7 +381,8 @@ def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places
     on = ResponseRun(
         row, model, unknowns, places, out, np.zeros((row.ticks.shape[0], 1 + len(of_wheel))), of_wheel,
         np.zeros((N_STRAIGHT, columns)), np.zeros((N_STRAIGHT, columns)),
-        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros(columns), np.zeros(N_ROW_UNKNOWNS),
+        np.zeros((n, columns)), np.zeros((n, columns)), np.zeros((n, n)), np.zeros(columns),
+        np.zeros(N_ROW_UNKNOWNS),
     )  # fmt: skip
     steer(on)
     run_response(row.ticks.shape[0], row.rows, on)
@@ -392,7 +394,7 @@ def rehearse() -> None:
     of_all, unknowns, places = np.zeros((1, 2, n, n)), np.zeros(N_UNKNOWNS), np.zeros(1, np.int64)
     model = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n))
     of_rows, of_row, stops = np.zeros((0, n)), np.zeros(0), stops_of(rows, 1)
-    gains = KeptGains(of_row, of_row, of_rows, of_rows, np.zeros((1, n, n)), of_row)
+    gains = KeptGains(of_row, of_row, of_rows, of_rows, of_row)
     set_gains(ticks, rows, np.zeros(0), unknowns, model, 0, stops, gains)
     shape, step = (2, outputs, N_STRAIGHT), (1, 2, N_STRAIGHT, N_STRAIGHT + 1)
     straight = StraightModel(

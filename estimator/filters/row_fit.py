@@ -18,35 +18,21 @@ from numpy.typing import NDArray
 from tilth.estimator.filters import likelihood
 from tilth.estimator.filters.free_noise import FreeNoise, gradient_and_information, regress
 from tilth.estimator.filters.newton import newton_step
+from tilth.estimator.filters.plain_row import OUTPUTS, PLAIN_ROW, PlainRow, plain_row
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.row_filter import (
     AT_PLAY,
     N_ROW_UNKNOWNS,
     ZERO,
     KeptGains,
-    Stops,
     Whitened,
     respond,
     set_gains,
-    stops_of,
 )
-from tilth.estimator.filters.sensors.wheel_play import flanks
-from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
 from tilth.estimator.filters.unknowns import NAMES, NOISES
 from tilth.estimator.record.record import (
-    EAST,
-    HEADING,
-    KIND,
-    NORTH,
-    OFFSET,
-    PLACE,
-    PSI,
-    TICK,
-    VALUE,
-    VELOCITY,
     WHEEL_ANGLE,
-    YAW_RATE,
     Record,
     U,
 )
@@ -54,12 +40,6 @@ from tilth.estimator.tuning import tuned
 
 Array = NDArray[np.float64]
 
-OUTPUTS: Final = (  # kind, places
-    (EAST, (0,)), (EAST, (1,)), (EAST, (2,)), (EAST, (3,)),
-    (VELOCITY, (0, 1)), (VELOCITY, (2, 3)), (YAW_RATE, (0,)), (YAW_RATE, (1,)),
-)  # fmt: skip
-"""In the row's frame, where north is along it: each antenna's position across, each body's velocities and
-yaw rates."""
 OF_BODIES: Final = ((0, 1, 4, 6), (2, 3, 5, 7))  # of OUTPUTS
 OF_ROWS: Final = np.arange(AT_PLAY, N_ROW_UNKNOWNS)  # unknowns of each fit anew
 
@@ -68,7 +48,6 @@ OF_ROWS: Final = np.arange(AT_PLAY, N_ROW_UNKNOWNS)  # unknowns of each fit anew
 class RowFitTuning:
     """Numerics of a fit of rows."""
 
-    epoch_s: float = tuned(0.2, "s", "for which what an output measured is one value")
     past_lengths: float = tuned(1.2, "1", "that the past reaches back, over the way from front to last axle")
     least_order: int = tuned(10, "epochs", "of the past")
     most_order: int = tuned(25, "epochs", "of the past")
@@ -113,21 +92,6 @@ class RowPosterior(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class PlainRow:
-    """One row as it was measured, along north."""
-
-    ticks: Array  # (n, 8)
-    rows: Array  # (m, 6)
-    across: Array  # (m,), readings across the row
-    used: Array  # (m,), 0.0 of what is not across the row, or no number
-    flanks: Array  # (n,), of the wheel sensor's play
-    stops: Stops
-    outputs: NDArray[np.int64]  # (m,), of OUTPUTS
-    epoch: NDArray[np.int64]  # (m,), from 0 on
-    wheel_angle: Array  # (epochs,), rad
-
-
-@dataclass(frozen=True, slots=True)
 class WhitenedRow:
     """One row, whitened."""
 
@@ -149,47 +113,6 @@ class RowPoint:
     slopes: list[Array] = field(default_factory=list)
 
 
-def positions_of(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which rows are positions: to the north, to the east; (p,) each, those of one position side by side."""
-    parts = (np.flatnonzero(rows[:, KIND] == kind) for kind in (NORTH, EAST))
-    north, east = (at[np.lexsort((rows[at, PLACE], rows[at, OFFSET], rows[at, TICK]))] for at in parts)
-    return north, east
-
-
-def output_of(rows: Array) -> NDArray[np.int64]:
-    """Which of OUTPUTS each row is of, (m,); -1: of none."""
-    output = np.full(len(rows), -1)
-    for k, (kind, places) in enumerate(OUTPUTS):
-        output[(rows[:, KIND] == kind) & np.isin(rows[:, PLACE], places)] = k
-    return output
-
-
-def along_north(record: Record) -> Record:
-    """The record with its row along north and its first position as the origin."""
-    ticks, rows = record.ticks.copy(), record.rows.copy()
-    psi = float(np.median(ticks[:, PSI]))
-    ticks[:, PSI : PSI + 2] -= psi
-    rows[rows[:, KIND] == HEADING, VALUE] -= psi
-    north, east = positions_of(rows)
-    across, along = (rows[at, VALUE] - rows[at[0], VALUE] for at in (east, north))
-    rows[north, VALUE] = np.cos(psi) * along + np.sin(psi) * across
-    rows[east, VALUE] = np.cos(psi) * across - np.sin(psi) * along
-    return Record(record.t_ns, ticks, rows)
-
-
-def across_row(record: Record) -> Array:
-    """Readings, (m,), of a record along north, with velocities to the east of the row."""
-    rows, n = record.rows, len(record.ticks)
-    readings, moving = rows[:, VALUE].copy(), np.flatnonzero(rows[:, KIND] == VELOCITY)
-    instants, ticks = rows[moving, TICK] + rows[moving, OFFSET] / DT, np.arange(n)
-    for body in (0, 1):
-        of_body = (rows[moving, PLACE] >= 2) == bool(body)
-        at = instants[of_body]
-        psi = np.interp(at, ticks, record.ticks[:, PSI + body])
-        readings[moving[of_body]] += np.interp(at, ticks, record.ticks[:, U]) * psi
-    return readings
-
-
 def _of_row(point: Array, zero: float, of_rows: Array) -> Array:
     """The unknowns of a row, (N_ROW_UNKNOWNS,): a point with another zero of the wheel angle, and OF_ROWS."""
     there = np.concatenate([point, of_rows])
@@ -197,41 +120,11 @@ def _of_row(point: Array, zero: float, of_rows: Array) -> Array:
     return there
 
 
-def epochs_of(instants: Array) -> NDArray[np.int64]:
-    """Epoch of each instant, (m,), s; epochs begin in the widest gap between what is measured."""
-    length = ROW_FIT.epoch_s
-    within = np.sort(np.mod(instants, length))
-    gaps = np.diff(within, append=within[0] + length)
-    widest = int(np.argmax(gaps))
-    begin = within[widest] + gaps[widest] / 2.0
-    return np.asarray(np.floor((instants - begin) / length), np.int64)
-
-
-def plain_row(record: Record) -> PlainRow:
-    """Of a record without a gap."""
-    record = along_north(record)
-    rows, ticks = np.ascontiguousarray(record.rows), np.ascontiguousarray(record.ticks)
-    wheel = ticks[:, WHEEL_ANGLE]
-    used = np.all(np.isfinite(rows), axis=1) & (rows[:, KIND] != NORTH)
-    instants = rows[:, TICK] * DT + rows[:, OFFSET]
-    epoch = epochs_of(instants)
-    epoch = epoch - epoch.min()
-    middle = np.bincount(epoch, instants) / np.maximum(np.bincount(epoch), 1)
-    at = np.clip(np.round(middle / DT), 0, len(ticks) - 1).astype(np.int64)
-    return PlainRow(
-        ticks, rows, across_row(record), used.astype(np.float64), flanks(wheel),
-        stops_of(rows[used], len(ticks)), output_of(rows), epoch, wheel[at],
-    )  # fmt: skip
-
-
 def whitened_row(row: PlainRow, setup: RigSetup, point: Array) -> WhitenedRow:
     """A row through the filter at a point, (n,), of the unknowns."""
     ticks, rows, m, n = row.ticks, row.rows, len(row.rows), len(KEPT)
     speeds, stops = tabulated(ticks), row.stops
-    gains = KeptGains(
-        np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)),
-        np.zeros((len(stops.ticks) - 1, n, n)), row.used.copy(),
-    )  # fmt: skip
+    gains = KeptGains(np.empty(m), np.empty(m), np.zeros((m, n)), np.zeros((m, n)), row.used.copy())
     model, mean_reading = filter_model(speeds, point, setup), np.array([ticks[:, WHEEL_ANGLE].mean()])
     each = Whitened(
         ticks, rows, gains, model, np.arange(m), np.ones(m), mean_reading, row.flanks, stops
@@ -297,7 +190,7 @@ class RowFit:
     @property
     def skip(self) -> int:
         """Epochs at the start of a row that are not used but as the past of others."""
-        return round(ROW_FIT.settling_s / ROW_FIT.epoch_s) - self.order
+        return round(ROW_FIT.settling_s / PLAIN_ROW.epoch_s) - self.order
 
     def _respond(
         self, k: int, point: Array, own: Array, places: NDArray[np.int64] = likelihood.NOTHING
@@ -437,7 +330,7 @@ class RowFit:
             [row.wheel_angle[settled:] - row.wheel_angle[settled:].mean() for row in self.rows]
         )
         return RowPosterior(
-            mean, self._covariance(information), steps, converged, len(wheel) * ROW_FIT.epoch_s,
+            mean, self._covariance(information), steps, converged, len(wheel) * PLAIN_ROW.epoch_s,
             float(np.sqrt(np.mean(wheel**2))), at.noise.share_of_own(wheel),
             at.cost / len(wheel), float(at.own[-len(OF_ROWS)]),
         )  # fmt: skip
@@ -478,5 +371,5 @@ def _order(rows: Sequence[WhitenedRow], setup: RigSetup) -> int:
 def order_at(speed: float, setup: RigSetup) -> int:
     """Epochs of the past at a speed, m/s: until the last axle has come to where the first one was."""
     a, _, c, d, e = setup.geometry[:5]
-    wanted = ROW_FIT.past_lengths * (a + c + d + e) / speed / ROW_FIT.epoch_s
+    wanted = ROW_FIT.past_lengths * (a + c + d + e) / speed / PLAIN_ROW.epoch_s
     return int(np.clip(math.ceil(wanted), ROW_FIT.least_order, ROW_FIT.most_order))

@@ -70,8 +70,7 @@ def raw_response(
     play of the wheel sensor and scales of turn rates."""
     m, speeds = len(record.rows), tabulated(record.ticks)
     zeros, stops = np.zeros((m, len(KEPT))), stops_of(record.rows, len(record.ticks))
-    of_stops = np.zeros((len(stops.ticks) - 1, len(KEPT), len(KEPT)))
-    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), of_stops, np.ones(m))
+    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
     whole = Whitened(
         record.ticks, record.rows, gains, filter_model(speeds, point, setup), np.arange(m), np.ones(m),
         np.array([record.ticks[:, 0].mean()]), flanks(record.ticks[:, 0]), stops,

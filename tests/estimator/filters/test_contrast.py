@@ -21,8 +21,8 @@ from tilth.estimator.filters.contrast import (
     told_beside,
 )
 from tilth.estimator.filters.likelihood import Search
+from tilth.estimator.filters.plain_row import OUTPUTS
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.row_fit import OUTPUTS
 from tilth.estimator.filters.states import N_STATES
 from tilth.estimator.filters.unknowns import NAMES, NOISES, SIX
 from tilth.estimator.record.record import EAST, KIND, NORTH, PSI, VELOCITY

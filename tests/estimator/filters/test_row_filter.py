@@ -2,6 +2,8 @@
 
 import numpy as np
 from circle import demo_machine
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from straight_row import raw_response, weaving
 
@@ -13,11 +15,13 @@ from tilth.estimator.filters.straight_driving import (
     KEPT,
     N_STRAIGHT,
     RESPONDING,
+    STRAIGHT,
     FilterModel,
     filter_model,
     straight_model,
     tabulated,
 )
+from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import EAST, KIND, NORTH, SD, TICK, Record
 
 Array = NDArray[np.float64]
@@ -31,8 +35,7 @@ def gains_for(record: Record, readings: Array, model: FilterModel, settling: int
     m, n = len(record.rows), len(KEPT)
     used = (record.rows[:, KIND] != NORTH).astype(np.float64)
     stops = stops_of(record.rows, len(record.ticks))
-    of_stops = np.empty((len(stops.ticks) - 1, n, n))
-    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), of_stops, used)
+    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), used)
     set_gains(record.ticks, record.rows, readings, MEAN, model, settling, stops, out)
     return out
 
@@ -91,6 +94,27 @@ def test_an_outlier_is_left_out_and_moves_nothing() -> None:
     assert before.used[at] == 1.0 and after.used[at] == 0.0
     assert np.sum(before.used != after.used) == 1
     assert np.abs(after.e).max() < 0.1
+
+
+def test_from_one_epoch_to_the_next_in_one_step_is_as_tick_by_tick() -> None:
+    record, places = weaving(20.0, speeds=(3.6, 4.6)), np.array([AT["C_af"], AT["sigma_i"], AT["latency"]])
+    each_tick = np.zeros((len(record.ticks), 6))
+    each_tick[:, TICK], each_tick[:, KIND] = np.arange(len(each_tick)), EAST
+    rows = np.concatenate([record.rows, each_tick])
+    rows, before = rows[np.argsort(rows[:, TICK], kind="stable")], raw_response(record, MEAN, SETUP, places)
+    finer = raw_response(Record(0, record.ticks, rows), MEAN, SETUP, places)[rows[:, SD] > 0.0]
+    np.testing.assert_allclose(before, finer, atol=5e-4 * np.abs(finer).max())
+
+
+@given(st.lists(st.integers(0, 99), max_size=20))
+def test_each_tick_with_rows_is_a_stop_and_none_is_far_from_the_next(ticks: list[int]) -> None:
+    rows = np.zeros((len(ticks), 6))
+    rows[:, TICK] = sorted(ticks)
+    stops = stops_of(rows, 80)
+    assert {min(tick, 79) for tick in ticks} <= set(stops.ticks[:-1]) and stops.ticks[-1] == 80
+    assert np.all(np.diff(stops.ticks) >= 1) and np.all(np.diff(stops.ticks) <= STRAIGHT.most_ticks)
+    at = np.flatnonzero(stops.of_tick >= 0)
+    assert stops.ticks[stops.of_tick[at]].tolist() == at.tolist() and len(at) == len(stops.ticks) - 1
 
 
 def test_what_steers_is_among_what_is_kept() -> None:
