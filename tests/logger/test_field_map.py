@@ -9,10 +9,10 @@ from logs import MACHINE
 
 from tilth.estimator import fold
 from tilth.estimator.filters.soil_field import SOIL_FIELD, At, SoilWindow, Told
+from tilth.estimator.filters.tracker_kernel import USED
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods import pem, place, tracker
 from tilth.estimator.methods.place import PlaceState
-from tilth.estimator.methods.tracker import USED
 from tilth.estimator.warm_start import SavedPosterior, save_learned
 from tilth.logger import warm_start_file
 from tilth.logger.guarded_fold import GuardedFold
