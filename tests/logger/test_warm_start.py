@@ -38,6 +38,7 @@ from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import event_sentence, sentence
+from tilth.simulator.scenario import ORIGIN_DEG
 from tilth.simulator.traffic import simulate
 
 SECOND = 1_000_000_000
@@ -319,6 +320,35 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
     assert summary.estimates["place"].of_place is not None  # the windows of the run before, in another plane
+
+
+def test_a_run_that_begins_with_a_map_of_its_field_replays_alone(tmp_path: Path, talker: can.BusABC) -> None:
+    state, file = taught(), tmp_path / "field.json"
+    memory = state.estimators[place.METHOD]
+    (window,) = memory.windows
+    sure = replace(
+        window.told, information=2500.0 * np.eye(6), vector=np.full(6, 250.0), model_sd=np.zeros(6)
+    )
+    memory.origin_deg = ORIGIN_DEG
+    memory.windows = [
+        replace(window, told=sure, path=window.path + np.array([9.0 * k, 0.0])) for k in range(6)
+    ]
+    learned = {place.METHOD: save_learned(state, NOW)[place.METHOD]}
+    _, text = rig(tmp_path, VIRTUAL)
+    text += f'\n[estimation]\nfield_map = "{file}"\n'
+    machine = parse_machine(text)
+    file.write_text(warm_start_file.text_of(machine, learned, Clock().t_ns() - 60 * SECOND))
+    daemon, result = a_run(tmp_path, (machine, text), keep=True)
+    assert "map of the field" in result.of_warm_start()[0]
+    for frame in now(list(simulate(MACHINE, 3, 4.0))):
+        daemon.take(frame)
+    assert daemon.parts.estimation.fold.state.estimators["tracker"].map_mean is not None
+    logs = daemon.close().log_files
+    file.unlink()
+    comparison = Comparison()
+    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
+    assert comparison.difference == "" and comparison.compared > 500
+    assert "map_age_s" in summary.estimates["tracker"].excitation
 
 
 def slipped() -> Moved:
