@@ -62,6 +62,8 @@ STAR_FIRE: Final = 0xA00017000421E250  # NAME of a receiver at 5 Hz, and of one 
 NMEA_2000: Final = 0xC07891000B002720
 HIDDEN_M: Final = 0.03  # m, of a lever arm or a CG
 DROP: Final = 0.7  # of all stiffnesses
+METHODS: Final = ("recommended", "pem", "tracker", "steady_state")
+FAR: Final = (4.0, 6.0)  # sds
 CHANGE_S: Final = 62.0  # into the run, on a straight stretch
 INFORMED: Final = math.radians(2.0)  # wheel angle from which on a manoeuvre is informative
 
@@ -387,3 +389,10 @@ def first_informed(wheel: Array, after_s: float) -> float:
     from_ = round(after_s / STEP_S)
     beyond_limit = np.flatnonzero(np.abs(wheel[from_:]) > INFORMED)
     return (from_ + int(beyond_limit[0])) * STEP_S if len(beyond_limit) else math.inf
+
+
+def harm(rows: Array, logs: Array) -> tuple[int, int]:
+    """(numbers that were given, those of them beyond FAR[0]), all instants counted. rows: as
+    Followed.series; logs: true logarithms, (6,)."""
+    z = np.abs((rows[:, 1:7] - logs) / rows[:, 7:13])
+    return int(np.isfinite(z).sum()), int(np.sum(z > FAR[0]))

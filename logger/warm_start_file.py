@@ -17,13 +17,13 @@ from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.logger.guarded_fold import FIELD_MAP
 from tilth.logger.log import whole_file
-from tilth.schemas.flow import Accepted, EventKind
+from tilth.schemas.flow import Accepted, Carried, EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, Report, notice, reasoned
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import notice_sentence
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 SOILS: Final = SECTIONS[:3]  # of which a map of a field is
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
@@ -31,7 +31,7 @@ CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock
 Warm = Callable[
     [
         Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved],
-        tuple[SavedPosterior, float] | None,
+        tuple[SavedPosterior, float] | None, Carried | None,
     ],
     dict[str, Reason | None],
 ]  # fmt: skip
@@ -46,6 +46,7 @@ class KeptRun(NamedTuple):
     accepted: list[Accepted]  # in place of values of the machine file
     moved: list[Moved]  # found, and neither accepted nor put back
     told: list[Notice]  # the same
+    carried: Carried | None  # by the implement
 
 
 class NotUsable(Exception):
@@ -59,7 +60,7 @@ def path_of(folder: Path, machine: Machine) -> Path:
 
 def text_of(
     machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int, accepted: Sequence[Accepted] = (),
-    moved: Sequence[Moved] = (),
+    moved: Sequence[Moved] = (), carried: Carried | None = None,
 ) -> str:  # fmt: skip
     """What is to be written. machine: as its file describes it, without what has been accepted."""
     plain = {
@@ -70,6 +71,7 @@ def text_of(
         "methods": to_json_data(learned),
         "accepted": to_json_data(list(accepted)),
         "moved": to_json_data(list(moved)),
+        "carried": to_json_data(carried),
     }
     return json.dumps(plain, indent=1)
 
@@ -94,6 +96,7 @@ def read(path: Path, machine: Machine, utc_ns: int, sections: Sequence[str] = SE
         elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
         moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
+        carried = from_json_data(Carried | None, plain.get("carried"))
         told = [reasoned(one.diagnosis.reason, NoticeCode.MOVED_EARLIER) for one in moved]
         for earlier in told:
             notice_sentence(earlier)  # what has no words is damaged
@@ -104,7 +107,9 @@ def read(path: Path, machine: Machine, utc_ns: int, sections: Sequence[str] = SE
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved, told)
+    return KeptRun(
+        learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved, told, carried
+    )
 
 
 def _time_ns(told: int) -> int:
@@ -137,8 +142,10 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     if found is None:
         if field_map is None:
             return False
-        found = KeptRun({}, 0.0, [], [], [])
-    refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted, found.moved, field_map)
+        found = KeptRun({}, 0.0, [], [], [], None)
+    refusals = warm(
+        found.learned, found.elapsed_s, t_ns, found.accepted, found.moved, field_map, found.carried
+    )
     used = [method for method, refusal in refusals.items() if refusal is None and method in found.learned]
     for method, refusal in refusals.items():
         if refusal is not None:

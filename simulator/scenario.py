@@ -245,6 +245,16 @@ class Soil:
     patch_seed: Annotated[int, Field(ge=0)] | None = None  # of the field, on every day; None: the seed
 
 
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class LoadChange:
+    """The implement comes to carry more or less; its CG stays. Tyres follow their loads."""
+
+    at_s: NotNegative
+    mass: Factor  # on the implement's mass and yaw inertia
+    over: NotNegative = 0.0  # s that it takes; 0: at once
+    exponent: Annotated[float, Field(ge=0, le=1.2)] = 0.8  # of a stiffness, over its load
+
+
 # What a machine file does not say of the rig, for either plant.
 
 PlanarKey = Literal["w_f", "w_r", "w_i", "h_h", "roll_share_f", "load_exponent", "front_drive"]
@@ -383,6 +393,7 @@ class Scenario:
     )  # of tractor and implement, right side down
     ground: Ground = Ground()
     soil: Soil = Soil()
+    loads: tuple[LoadChange, ...] = ()  # of the planar plant
     spatial: Spatial = Spatial()
     planar: Mapping[PlanarKey, NotNegative] | None = None  # of the rig, instead of what is usual
     survey: SurveyErrors = SurveyErrors()
@@ -421,6 +432,7 @@ class Scenario:
             say = 'is of the spatial plant; add plant = "spatial"'
         else:
             given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
+            given += ["loads"] if self.loads else []
             say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
             if self.planar:
                 raise ValueError("planar is of the planar plant; give spatial")

@@ -19,7 +19,7 @@ from tilth.estimator.filters.predictor import run_ticks
 from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.soil_change import Checkpoint
+from tilth.estimator.filters.soil_change import SOIL_CHANGE, Checkpoint
 from tilth.estimator.filters.soil_field import At
 from tilth.estimator.filters.states import DT, N_STATES, START, X_BANK, X_DISTURBANCE, X_PSI, X_ROLL
 from tilth.estimator.filters.tracker_kernel import (
@@ -43,6 +43,7 @@ from tilth.estimator.filters.unknowns import (
 )
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.pem import of_masses, with_known_masses
+from tilth.estimator.models.load import by_another_load
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
@@ -267,7 +268,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         if tight:  # there errors of the model look like another soil
             state.checkpoints.clear()
         else:
-            _detect_soil_change(state)
+            _detect_soil_change(state, machine)
         state.informed_ns = record.end_ns
         _count(state, record, tight)
 
@@ -409,11 +410,15 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     state.disturbance = np.exp(logs + (_USUAL_DISTURBANCE - logs) / TRACKER.disturbance_forgetting)
 
 
-def _detect_soil_change(state: TrackerState) -> None:
+def _detect_soil_change(state: TrackerState, machine: Machine) -> None:
     """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
     if change is not None and change.ratio > soil_change.limit(math.sqrt(state.disturbance[3])):
-        _forget_soil(state, change.logs)
+        odds = _odds_of_load(state, machine, change.since)
+        if odds > -SOIL_CHANGE.sure:
+            _load_changed(state, odds)
+        if odds < SOIL_CHANGE.sure:
+            _forget_soil(state, change.logs, told=odds <= -SOIL_CHANGE.sure)
         return
     state.segments_since_checkpoint += 1
     if state.segments_since_checkpoint >= soil_change.SOIL_CHANGE.checkpoint_segments:
@@ -422,8 +427,26 @@ def _detect_soil_change(state: TrackerState) -> None:
         del state.checkpoints[: -soil_change.SOIL_CHANGE.most_checkpoints]
 
 
-def _forget_soil(state: TrackerState, logs: Array) -> None:
-    """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
+def _odds_of_load(state: TrackerState, machine: Machine, since: Checkpoint) -> float:
+    """As soil_change.Odds; of an implement that carries nothing, that it is the soil."""
+    if machine.implement.load is None:
+        return -math.inf
+    before, after = (since.mean, since.covariance), (state.mean[SIX], state.covariance[SIX, SIX])
+    return soil_change.odds(before, after, by_another_load(machine), np.zeros((6, 6))).of_load
+
+
+def _load_changed(state: TrackerState, odds: float) -> None:
+    """The fold opens up what all methods have learned of the implement."""
+    code = NoticeCode.LOAD_CHANGED if odds > SOIL_CHANGE.sure else NoticeCode.LOAD_OR_SOIL
+    state.events.append((EventKind.LOAD, notice(code)))
+    state.running = False
+    state.checkpoints.clear()
+    state.changed_ns = state.last_pose_ns
+
+
+def _forget_soil(state: TrackerState, logs: Array, told: bool) -> None:
+    """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay. told: as an
+    event."""
     state.mean[SIX] += np.clip(logs, -TRACKER.largest_change, TRACKER.largest_change)
     _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
@@ -433,7 +456,8 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.window_s = state.tight_s = state.hard = 0.0
     state.map_information = np.zeros((6, 6))  # it is not what the map knows
     # That something has changed is known seconds before it is known what, and by how much.
-    state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
+    if told:
+        state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:
