@@ -206,7 +206,7 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
     assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
     found = warm_start_file.read(path, MACHINE, NOW + 7 * SECOND)
     assert found is not None
-    retained, elapsed_s, _, _, _ = found
+    retained, elapsed_s, *_ = found
     assert elapsed_s == 7.0
     for method, wanted in save_learned(taught(), NOW).items():
         assert retained[method].mean.tobytes() == wanted.mean.tobytes()
@@ -340,7 +340,7 @@ def test_a_run_that_begins_with_a_map_of_its_field_replays_alone(tmp_path: Path,
     machine = parse_machine(text)
     file.write_text(warm_start_file.text_of(machine, learned, Clock().t_ns() - 60 * SECOND))
     daemon, result = a_run(tmp_path, (machine, text), keep=True)
-    assert "map of the field" in result.of_warm_start()[0]
+    assert "field map" in result.of_warm_start()[0]
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         daemon.take(frame)
     assert daemon.parts.estimation.fold.state.estimators["tracker"].map_mean is not None
