@@ -247,11 +247,12 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     considered = considered[np.concatenate([np.arange(N_STATES), N_STATES + active])]
     tally = RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2)))
     prior_estimate = (state.mean.copy(), state.covariance.copy())
+    by_map = bool(state.map_information.any())  # the tyres are roughly right from the beginning
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.instrument),
         setup, active, considered, ground, tally,
-        state.by_steering and (state.window_s >= TRACKER.initial_phase_s or bool(state.map_information.any())),
+        state.by_steering and (by_map or state.window_s >= TRACKER.initial_phase_s),
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
