@@ -12,7 +12,7 @@ within the limit of what is under each axle, or to the next headland.
 import argparse
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, get_args
 
 import estimation_runs
 import numpy as np
@@ -27,7 +27,7 @@ from tilth.schemas.flow import Estimate
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import WITHIN
 from tilth.simulator.drive import drive
-from tilth.simulator.scenario import STEP_S
+from tilth.simulator.scenario import STEP_S, Parameter
 
 Array = NDArray[np.float64]
 DAY_S: Final = 86_400.0
@@ -43,7 +43,9 @@ def day(machine: Machine, k: int, number: int, minutes: float, one_soil: bool) -
     asked = replace(asked, rig_seed=k, soil=replace(asked.soil, patch_seed=k))
     usual = drive(machine, k, 1.0, asked).parameters
     factor = math.exp(DAY_SD * float(np.random.default_rng([58, k, number]).standard_normal()))
-    of_day = {name: value * (factor if name.startswith("C_") else 1.0) for name, value in usual.items()}
+    of_day: dict[Parameter, float] = {
+        name: usual[name] * (factor if name.startswith("C_") else 1.0) for name in get_args(Parameter)
+    }
     asked = replace(asked, soil=replace(asked.soil, parameters=of_day))
     return Driven(machine, drive(machine, 1000 * number + k, asked.seconds, asked), machine)
 

@@ -155,7 +155,7 @@ def run(folder: Path, numbers: list[int], dask: bool) -> None:
             from distributed import LocalCluster
 
             cluster = LocalCluster(
-                n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+                n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
             )  # type: ignore[no-untyped-call]
             stack.enter_context(cluster)
             by_dask = ("--dask", cluster.scheduler_address)

@@ -325,11 +325,12 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         segment = replace(segment, follows=False, reason=Code.CONTRADICTED)
     implement_load.walk(state, t_ns)
     estimates = []
-    if state.machine.estimation.field_map is not None and state.poses % FOLD.poses_per_place == 0:
-        memory = state.estimators[place.METHOD]
-        earlier = place.by_earlier_runs(memory)
+    if state.machine.estimation.field_map is not None:
+        memory, ours = state.estimators[place.METHOD], state.estimators[tracker.METHOD]
+        look = ours.map_mean is None or state.poses % FOLD.poses_per_place == 0
+        earlier = place.by_earlier_runs(memory, pose.t_ns) if look else None
         if earlier is not None:
-            tracker.expect(state.estimators[tracker.METHOD], earlier, memory.map_ns)
+            tracker.expect(ours, earlier, memory.map_ns)
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
         estimate = row.take(method_state, state.machine, pose, segment)

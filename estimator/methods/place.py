@@ -359,8 +359,9 @@ def _asked(state: PlaceState) -> AskedGround:
     return AskedGround(worked=state.track[-1].worked) if state.track else AskedGround()
 
 
-def by_earlier_runs(state: PlaceState) -> soil_field.At | None:
-    """What earlier runs alone tell of where the rig is; None on another field than theirs."""
+def by_earlier_runs(state: PlaceState, t_ns: int) -> soil_field.At | None:
+    """What earlier runs alone tell of where the rig is, as old as it is at t_ns; None on another field than
+    theirs."""
     told = [window for window in state.windows if window.passing < 0]
     if state.axles is None or not told:
         return None
@@ -369,7 +370,7 @@ def by_earlier_runs(state: PlaceState) -> soil_field.At | None:
         return None
     if state.earlier is None or list(map(id, state.earlier.windows)) != list(map(id, told)):
         state.earlier = SoilMemory(told, state.prior_sd)
-    return state.earlier.at(state.axles, _asked(state))
+    return state.earlier.at(state.axles, _asked(state)._replace(t_ns=t_ns))
 
 
 def add(state: PlaceState, field_map: PlaceState) -> None:

@@ -247,11 +247,12 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
     considered = considered[np.concatenate([np.arange(N_STATES), N_STATES + active])]
     tally = RowTally(np.zeros(3), np.zeros((SENSORS + GROUND, 2)))
     prior_estimate = (state.mean.copy(), state.covariance.copy())
+    by_map = bool(state.map_information.any())  # the tyres are roughly right from the beginning
     track_segment(
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.instrument),
         setup, active, considered, ground, tally,
-        state.by_steering and (state.window_s >= TRACKER.initial_phase_s or state.map_mean is not None),
+        state.by_steering and (by_map or state.window_s >= TRACKER.initial_phase_s),
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -320,7 +321,11 @@ def _count(state: TrackerState, record: Record, tight: bool) -> None:
     state.hard += seconds * fit_covariance.lateral_square(record)
     before, state.window_s = state.window_s, state.window_s + seconds
     state.tight_s += seconds if tight else 0.0
-    if state.by_steering and state.map_mean is None and before < TRACKER.initial_phase_s <= state.window_s:
+    if (
+        state.by_steering
+        and not state.map_information.any()
+        and before < TRACKER.initial_phase_s <= state.window_s
+    ):
         sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), TRACKER.initial_phase_sd)
         _decorrelate_six(state, sds)
 
@@ -336,17 +341,16 @@ def _decorrelate_six(state: TrackerState, sds: Array) -> None:
 def expect(state: TrackerState, there: At, told_ns: int) -> None:
     """What earlier runs tell of the soil where the rig is now, before the wheels learn it, told_ns: when.
 
-    Once, before anything is learned today, it is the prior of the six in place of all that is known; then
-    only how soil differs from place to place is followed, which is no information on what it is.
+    Once, before anything is learned today, it is the prior of the six in place of all that is known, where it
+    is sure enough; then only how soil differs from place to place is followed, which is no information on
+    what it is.
     """
     if state.map_mean is not None:
         moved = there.mean - state.map_mean
         state.mean[SIX] += moved
         for checkpoint in state.checkpoints:
             checkpoint.mean += moved
-    elif state.counts[USED] or (np.sqrt(np.diag(there.covariance)[:3]) > TRACKER.initial_phase_sd).any():
-        return  # it begins as if there were no map
-    else:
+    elif not state.counts[USED] and np.diag(there.covariance)[:3].max() <= TRACKER.initial_phase_sd**2:
         prior_sd = state.prior_sd[SIX]
         state.mean[SIX] = state.prior_mean[SIX] + there.mean
         _decorrelate_six(state, prior_sd)
@@ -487,7 +491,7 @@ def reported_covariance(state: TrackerState, of_map: bool = True) -> Array:
     squared, errors of the model, and what is not known of the masses. of_map: with what the map has told."""
     prior_sd = state.prior_sd[SIX]
     information = advice.information_of(state.covariance[SIX, SIX], prior_sd)
-    if state.map_mean is None:
+    if not state.map_information.any():
         information = information / TRACKER.sd_factor**2
     else:
         sizes, axes = np.linalg.eigh(information - state.map_information)
@@ -514,7 +518,7 @@ def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
         state, machine, t_ns, METHOD, reported_covariance(state), Code.NOTHING_LEARNED,
         _excitation(state, t_ns), state.advisor.advice,
         stale_reason(Code.NOT_LEARNED_FOR, age_s(state.informed_ns, t_ns)),
-        reported_covariance(state, of_map=False) if state.map_mean is not None else None,
+        reported_covariance(state, of_map=False) if state.map_information.any() else None,
     )  # fmt: skip
 
 

@@ -9,10 +9,10 @@ from logs import MACHINE
 
 from tilth.estimator import fold
 from tilth.estimator.filters.soil_field import SOIL_FIELD, At, SoilWindow, Told
+from tilth.estimator.filters.tracker_kernel import USED
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods import pem, place, tracker
 from tilth.estimator.methods.place import PlaceState
-from tilth.estimator.methods.tracker import USED
 from tilth.estimator.warm_start import SavedPosterior, save_learned
 from tilth.logger import warm_start_file
 from tilth.logger.guarded_fold import GuardedFold
@@ -69,7 +69,7 @@ def at_place(north: float, windows: list[SoilWindow]) -> tuple[fold.State, At | 
     fold.use_map(state, of(windows, NOW - HOUR), 0.0, NOW)
     memory = state.estimators[place.METHOD]
     memory.axles = np.array([[north, 0.0]] * 3)
-    return state, place.by_earlier_runs(memory)
+    return state, place.by_earlier_runs(memory, NOW)
 
 
 def test_a_place_outside_of_the_map_has_no_prior() -> None:
@@ -111,7 +111,8 @@ def test_later_it_follows_how_soil_differs_and_learns_nothing_of_it() -> None:
     late = fold.initial(with_map()).estimators[tracker.METHOD]
     late.counts[USED] = 100.0  # it has learned elsewhere today
     tracker.expect(late, here, NOW)
-    assert late.map_mean is None
+    assert late.map_mean is not None and not late.map_information.any()
+    assert np.array_equal(late.mean, fold.initial(MACHINE).estimators[tracker.METHOD].mean)
 
 
 def taken_up(machine: Machine, folder: Path) -> tuple[GuardedFold, bool, list[Notice]]:

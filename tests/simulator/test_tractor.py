@@ -216,6 +216,19 @@ def test_speed_wanders_and_follows_what_is_asked(machine: Machine) -> None:
     assert u[2900] == pytest.approx(-1.0, abs=0.2)
 
 
+def test_a_field_keeps_its_patches_and_its_place_from_day_to_day(machine: Machine) -> None:
+    soil = Soil(patch_log_sd=0.2, patch_seed=5)
+    field = Scenario(
+        steering=STRAIGHT, speed_sd=0.0, noise=0.0, rig_seed=1, soil=soil, origin_deg=(-33.0, 151.0)
+    )
+    monday, friday = (drive(machine, seed, 5.0, field) for seed in (1, 2))
+    np.testing.assert_allclose(monday.soil, friday.soil, rtol=1e-3)
+    other = drive(machine, 2, 5.0, replace(field, soil=replace(soil, patch_seed=6)))
+    assert np.abs(np.log(other.soil / friday.soil)).max() > 0.05
+    (first, *_) = reports(machine, monday, machine.receiver[0], 0.5)
+    assert np.hypot(*to_plane((-33.0, 151.0), first.latitude_deg, first.longitude_deg)) < 20.0
+
+
 def _plane(rows: list[Report]) -> np.ndarray:
     """North and east of the reported positions, m, shape (n, 2)."""
     return np.array([to_plane(ORIGIN_DEG, row.latitude_deg, row.longitude_deg) for row in rows])
