@@ -18,9 +18,6 @@ from tilth.logger.run_summary import RunSummary
 from tilth.logger.status_line import PanelDisplay, PlainDisplay
 from tilth.logger.supervisor import of_environment
 from tilth.logger.zenoh.session import refusal
-from tilth.schemas.flow import EventKind
-from tilth.schemas.notices import in_words
-from tilth.schemas.plausible import unusual
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -54,7 +51,6 @@ def run(args: argparse.Namespace) -> int:
     name = named or chosen(rigs, folder, lambda kind, told: events.append((kind, told)))
     machine_file = read_machine(args.machine) if named else rigs[name]
     machine = machine_file.machine
-    events.extend((EventKind.MACHINE_FILE, in_words(text)) for text in unusual(machine))
     if refused := "" if args.no_zenoh else refusal(machine):
         raise WrongUse(refused)
     stopping = False
