@@ -49,6 +49,10 @@ class Keeping:
                 self._machine, learned, t_ns, accepted, moved, self._fold.carried(t_ns)
             )
             recording.on_disk_thread(lambda: whole_file.write(self._path, text.encode()))
+        tractor = warm_start_file.tractor_path(self._path.parent, self._machine)
+        if tractor is not None and standing[0] != before[0]:
+            own = warm_start_file.tractor_text(self._machine, accepted)
+            recording.on_disk_thread(lambda: whole_file.write(tractor, own.encode()))
 
     def _standing(self) -> tuple[int, tuple[str, ...], bool, float]:
         """What the next run has to know at once: values accepted, what has been moved, a contradiction, kg

@@ -16,7 +16,7 @@ from tilth.logger.hitched import SETTLED_NS, chosen
 from tilth.logger.machine_file import read_machine, read_rigs
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import MachineError
 from tilth.schemas.machine_toml import joined, parse_machine
 from tilth.schemas.notices import Notice, NoticeCode
@@ -194,6 +194,33 @@ def test_an_implement_is_known_by_a_device_that_it_alone_has(
         daemon.close()
     kept = hitched.path_of(tmp_path / "logs", "jd7930-parker500")
     assert (kept.read_text() if kept.exists() else "") == following
+
+
+@pytest.mark.usefixtures("prepared")
+def test_what_is_accepted_of_the_tractor_holds_with_each_implement(file: Path, tmp_path: Path) -> None:
+    rigs, logs = read_rigs(file), tmp_path / "logs"
+    wheel = Accepted(5, "wheel_angle", (0.0175,), (0.001,))
+    aside = Accepted(6, "implement_front", (0.1, 0.0), (0.01, 0.01))
+
+    def run(name: str, *accepted: Accepted) -> list[str]:
+        """What is accepted in a run, at its end."""
+        daemon = Daemon(rigs[name], logs, None, NoDisplay(), rigs=rigs, keep=True)
+        fold = daemon.parts.estimation.fold
+        for one in accepted:
+            fold.accept(one)
+        daemon.turn(0.0)
+        daemon.close()
+        return [one.what for one in fold.accepted]
+
+    with can.Bus(interface="virtual", channel="tilth-hitched"):
+        assert run("parker", wheel, aside) == ["wheel_angle", "implement_front"]
+        assert run("krampe") == ["wheel_angle"]
+        assert run("krampe") == ["wheel_angle"]  # once
+        assert run("parker") == ["wheel_angle", "implement_front"]
+        kept = warm_start_file.tractor_path(logs, rigs["parker"].machine)
+        assert kept is not None
+        kept.write_text("{")
+        assert run("krampe") == [] and run("parker") == ["wheel_angle", "implement_front"]
 
 
 SPREADER = 0xA00A8A0000A00123  # a fertiliser spreader that no file has
