@@ -76,7 +76,8 @@ def _accepted_of_tractor(path: Path | None, machine: Machine) -> list[Accepted]:
         plain = json.loads(whole_file.read(path)) if path is not None else {}
         if not plain or plain["format"] != FORMAT or plain["sections"] != _of_the_tractor(machine):
             return []
-        return from_json_data(list[Accepted], plain["accepted"])
+        own: list[Accepted] = from_json_data(list[Accepted], plain["accepted"])
+        return own
     except FileNotFoundError:
         return []
     except Exception as error:  # anything may stand there, and a run begins whatever it is
