@@ -230,9 +230,17 @@ def test_another_load_is_told_from_other_soil(cart: Machine) -> None:
 
 
 def test_a_run_that_comes_back_later_knows_less(cart: Machine) -> None:
-    soon, late = (implement_load.later(cart, FULL, seconds, 9 * S) for seconds in (10.0, 7 * 86_400.0))
-    assert soon is not None and late is not None
-    assert soon.mass == late.mass == 6000.0 and soon.t_ns == 9 * S and soon.sd < 900.0 < late.sd
+    now, sds = 10**9 * S, []
+    for seconds in (10.0, 7 * 86_400.0):
+        told = replace(FULL, t_ns=now - round(seconds * 1e9))
+        state = fold.initial(cart, (), implement_load.later(cart, told, seconds, now))
+        assert state.machine == laden(cart, FULL)  # over which it was learned
+        carried = implement_load.carried_now(state, now)
+        assert carried is not None and carried.mass == 6000.0
+        sds.append(carried.sd)
+    assert sds[0] < 900.0 and sds[1] > 6000.0
+    gone_back = implement_load.later(cart, replace(FULL, t_ns=2 * now), 86_400.0, now)  # the clock
+    assert gone_back is not None and gone_back.t_ns == now - 86_400 * S
     assert implement_load.later(MACHINE, FULL, 1.0, 1) is None
 
 

@@ -134,6 +134,32 @@ def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
     assert state.estimators[pem.METHOD].mean == pytest.approx(unknowns.prior(MACHINE)[0])
 
 
+def test_a_pair_that_comes_back_after_a_week_begins_where_it_was_left(tmp_path: Path) -> None:
+    """As wide as the fading says, whatever another implement has learned meanwhile."""
+    parker, other = (
+        MACHINE.model_copy(update={"implement": MACHINE.implement.model_copy(update={"name": name})})
+        for name in ("parker", "other")
+    )
+    week = 7 * 86_400 * SECOND
+    for machine, t_ns in ((parker, NOW), (other, NOW + week // 2)):
+        text = warm_start_file.text_of(machine, save_learned(taught(), NOW), t_ns)
+        warm_start_file.path_of(tmp_path, machine).write_text(text)
+    found = warm_start_file.read(warm_start_file.path_of(tmp_path, parker), parker, NOW + week)
+    assert found is not None and found.elapsed_s == pytest.approx(week * 1e-9)
+    state, memory = fold.initial(parker), ROW[tracker.METHOD].memory
+    assert memory is not None
+    fresh = memory.learned(state.estimators[tracker.METHOD])
+    assert not any(resume(state, found.learned, found.elapsed_s, NOW + week).values())
+    left, now = (memory.learned(one.estimators[tracker.METHOD]) for one in (taught(), state))
+    share = 4.0 ** (-week * 1e-9 / WARM_START.doubles_s)
+    six = unknowns.SIX
+    before, wide = np.diag(left.covariance)[six], np.diag(fresh.covariance)[six]
+    assert np.all(np.diag(now.covariance)[six] > before) and np.all(np.diag(now.covariance)[six] <= wide)
+    assert np.all(np.diag(now.covariance)[six] > wide / (1.0 + share * (wide / before).max() * 10.0))
+    moved, was = (now.mean - fresh.mean)[six], (left.mean - fresh.mean)[six]
+    assert np.all(np.abs(moved) <= np.abs(was) + 1e-9)  # between it and the prior
+
+
 def test_what_windows_told_of_a_place_grows_less_and_is_of_no_pass_of_this_run() -> None:
     state, kept = fold.initial(MACHINE), save_learned(taught(), NOW)
     resume(state, kept, WARM_START.doubles_s, NOW)
