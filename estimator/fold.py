@@ -63,6 +63,7 @@ class FoldTuning:
     poses_per_drawing: int = tuned(
         20, "poses", "between two drawings, 4 s: viewers that come late soon have them"
     )
+    poses_per_place: int = tuned(5, "poses", "between two looks at the map of the field, 1 s")
 
 
 FOLD: Final = FoldTuning()
@@ -106,6 +107,17 @@ def resume(
     diagnosis.resumed(state.diagnosis, bool(state.previous_run))
     state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals
+
+
+def use_map(state: State, saved: SavedPosterior, elapsed_s: float, t_ns: int) -> Code | None:
+    """Before the first frame, after `resume`: what a season has told of a field, saved elapsed_s before t_ns.
+    Returns why it is not used, None where it is."""
+    fresh = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
+    refused = warm_start.resume(state.machine, fresh, {place.METHOD: saved}, elapsed_s, t_ns)[place.METHOD]
+    if refused is None:
+        place.add(state.estimators[place.METHOD], fresh[place.METHOD])
+        state.time.latest_ns = t_ns
+    return refused
 
 
 def carry(state: State, moved: Sequence[Moved]) -> None:
@@ -313,6 +325,11 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         segment = replace(segment, follows=False, reason=Code.CONTRADICTED)
     implement_load.walk(state, t_ns)
     estimates = []
+    if state.machine.estimation.field_map is not None and state.poses % FOLD.poses_per_place == 0:
+        memory = state.estimators[place.METHOD]
+        earlier = place.by_earlier_runs(memory)
+        if earlier is not None:
+            tracker.expect(state.estimators[tracker.METHOD], earlier, memory.map_ns)
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
         estimate = row.take(method_state, state.machine, pose, segment)

@@ -30,6 +30,7 @@ from tilth.estimator.fold import (
     resume,
     save_learned,
     step,
+    use_map,
 )
 from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
@@ -59,6 +60,7 @@ from tilth.schemas.notices import reasoned
 from tilth.schemas.reasons import Code, Reason, text_reason
 from tilth.schemas.sentences import sentence
 
+FIELD_MAP = "field_map"
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
 HearFit = Callable[[State, str, Any], None]
@@ -368,11 +370,13 @@ class GuardedFold:
         t_ns: int,
         accepted: Sequence[Accepted] = (),
         moved: Sequence[Moved] = (),
+        field_map: tuple[SavedPosterior, float] | None = None,
         carried: Carried | None = None,
     ) -> dict[str, Reason | None]:
         """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or None.
 
-        accepted: by the operator in earlier runs. moved: found by them, and not accepted. carried: by the
+        accepted: by the operator in earlier runs. moved: found by them, and not accepted. field_map: what a
+        season has told of a field, and the seconds since; FIELD_MAP in what is returned. carried: by the
         implement then, as sure as it was then."""
         try:
             if accepted or carried:
@@ -381,6 +385,8 @@ class GuardedFold:
                 self.state.ready = ready
                 self._use_rig()
             refusals = resume(self.state, learned, elapsed_s, t_ns)
+            if field_map is not None:
+                refusals[FIELD_MAP] = use_map(self.state, *field_map, t_ns)
             carry(self.state, moved)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()

@@ -13,9 +13,11 @@ from typing import Any, Final, NamedTuple
 
 from tilth.estimator.diagnosis import watch
 from tilth.estimator.diagnosis.watch import Moved
+from tilth.estimator.methods import place
 from tilth.estimator.rig.numbers import DRAWBAR
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.logger.guarded_fold import FIELD_MAP
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import Accepted, Carried, EventKind
 from tilth.schemas.machine import Machine
@@ -25,12 +27,16 @@ from tilth.schemas.sentences import notice_sentence
 
 FORMAT: Final = 5
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
+SOILS: Final = SECTIONS[:3]  # of which a map of a field is
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
 Warm = Callable[
-    [Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved], Carried | None],
+    [
+        Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved],
+        tuple[SavedPosterior, float] | None, Carried | None,
+    ],
     dict[str, Reason | None],
-]
+]  # fmt: skip
 """GuardedFold.warm."""
 
 
@@ -70,8 +76,8 @@ def _of_tractor(accepted: Accepted) -> bool:
     return accepted.what != DRAWBAR and "implement" not in accepted.what
 
 
-def _accepted_of_tractor(path: Path | None, machine: Machine) -> list[Accepted]:
-    """As stored with whichever implement. Raises NotUsable."""
+def _accepted_of_tractor(path: Path | None, machine: Machine, report: Report) -> list[Accepted]:
+    """As stored with whichever implement."""
     try:
         plain = json.loads(whole_file.read(path)) if path is not None else {}
         if not plain or plain["format"] != FORMAT or plain["sections"] != _of_the_tractor(machine):
@@ -81,7 +87,9 @@ def _accepted_of_tractor(path: Path | None, machine: Machine) -> list[Accepted]:
     except FileNotFoundError:
         return []
     except Exception as error:  # anything may stand there, and a run begins whatever it is
-        raise NotUsable(f"{path} is damaged ({error!r:.200})") from None
+        why = f"{path} is damaged ({error!r:.200})"
+        report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=why))
+        return []
 
 
 def _of_the_tractor(machine: Machine) -> dict[str, str]:
@@ -109,8 +117,9 @@ def text_of(
     return json.dumps(plain, indent=1)
 
 
-def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
-    """What was kept; None where nothing was. Raises NotUsable."""
+def read(path: Path, machine: Machine, utc_ns: int, sections: Sequence[str] = SECTIONS) -> KeptRun | None:
+    """What was kept of a machine as these sections of its file describe it; None where nothing was. Raises
+    NotUsable."""
     try:
         plain = json.loads(whole_file.read(path))
     except FileNotFoundError:
@@ -123,7 +132,7 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         if plain["format"] != FORMAT:
             raise NotUsable(f"{path} is of another version of tilth")
         now, then = _digests(machine), plain["sections"]
-        changed = [name for name in SECTIONS if now[name] != then.get(name)]
+        changed = [name for name in sections if now[name] != then.get(name)]
         learned = from_json_data(dict[str, SavedPosterior], plain["methods"])
         elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
@@ -164,32 +173,50 @@ def _digests(machine: Machine, of: Sequence[str] = SECTIONS) -> dict[str, str]:
 
 
 def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report) -> bool:
-    """Go on from what earlier runs have learned and say what became of it. Whether anything was used."""
-    found, of_tractor = None, list[Accepted]()
-    for kept in (path, tractor_path(path.parent, machine)):
-        try:
-            if kept == path:
-                found = read(path, machine, t_ns)
-            else:
-                of_tractor = _accepted_of_tractor(kept, machine)
-        except NotUsable as why_not:
-            report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
+    """Go on from what earlier runs have learned, and a map of the field tells, and say what became of it.
+    Whether anything was used."""
+    found, field_map = _kept(path, machine, t_ns, SECTIONS, report), None
+    if machine.estimation.field_map is not None:
+        of_map = _kept(Path(machine.estimation.field_map), machine, t_ns, SOILS, report, needed=True)
+        if of_map is not None and place.METHOD in of_map.learned:
+            field_map = of_map.learned[place.METHOD], of_map.elapsed_s
+    of_tractor = _accepted_of_tractor(tractor_path(path.parent, machine), machine, report)
     before = [] if found is None else found.accepted
     if later := [one for one in of_tractor if one not in before]:  # with another implement
         accepted = sorted([*before, *later], key=lambda one: one.t_ns)
         found = (found or KeptRun({}, 0.0, [], [], [], None))._replace(accepted=accepted, learned={})
     if found is None:
-        return False
-    refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted, found.moved, found.carried)
-    used = [method for method, refusal in refusals.items() if refusal is None]
+        if field_map is None:
+            return False
+        found = KeptRun({}, 0.0, [], [], [], None)
+    refusals = warm(
+        found.learned, found.elapsed_s, t_ns, found.accepted, found.moved, field_map, found.carried
+    )
+    used = [method for method, refusal in refusals.items() if refusal is None and method in found.learned]
     for method, refusal in refusals.items():
         if refusal is not None:
             report(EventKind.WARM_START, reasoned(refusal, NoticeCode.METHOD_REFUSED, method=method))
     if used:
         resumed = notice(NoticeCode.RESUMED, methods=", ".join(used), hours=found.elapsed_s / 3600.0)
         report(EventKind.WARM_START, resumed)
+    if field_map is not None and refusals.get(FIELD_MAP) is None:
+        report(EventKind.WARM_START, notice(NoticeCode.FIELD_MAP, hours=field_map[1] / 3600.0))
     for one in found.accepted:
         report(EventKind.ACCEPTED, notice(NoticeCode.ACCEPTED_EARLIER, what=one.what))
     for earlier in found.told:
         report(EventKind.MOVED, earlier)
-    return bool(used or found.accepted or found.moved)
+    return bool(used or found.accepted or found.moved or field_map)
+
+
+def _kept(
+    path: Path, machine: Machine, t_ns: int, sections: Sequence[str], report: Report, needed: bool = False
+) -> KeptRun | None:
+    """What can be used; what cannot is told. needed: it should be there."""
+    try:
+        found = read(path, machine, t_ns, sections)
+        if found is None and needed:
+            raise NotUsable(f"{path} is not there; `tilth map` makes it")
+    except NotUsable as why_not:
+        report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
+        return None
+    return found

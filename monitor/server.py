@@ -337,20 +337,6 @@ async def _mark_text(request: Request) -> str:
     return " ".join(text.split())
 
 
-def listening_socket(host: str, port: int) -> socket.socket:
-    """Raises OSError where the port is taken or the address is not of this computer."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-        listener.listen()  # from now on a browser is served, if not at once
-    except OSError:
-        listener.close()
-        raise
-    return listener
-
-
 def _is_fault(record: logging.LogRecord) -> bool:
     """A stream that is refused with an answer of its own is none, as this server believes."""
     return "completing handshake" not in record.getMessage()

@@ -384,6 +384,9 @@ class SoilPlace:
     this_pass: float  # by what was driven since the rig last turned round
     neighbours: float  # by passes before
     prior: float  # by the machine file
+    log_mean: tuple[float, ...] = ()
+    """Of the six, N/rad and m, also where no number is given since it is too wide: for who weighs by
+    `log_covariance`. Empty while numbers are withheld."""
 
 
 @dataclass(frozen=True, slots=True)

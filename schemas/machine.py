@@ -163,6 +163,9 @@ class Implement(_Section):
         description="of how far forward the middle of its receivers is, m; else it follows from survey_sd",
     )
     ballast: list[Ballast] = Field(default=[], description="what mass, CG and yaw_inertia are without")
+    working_width: float = Field(
+        default=0.0, ge=0, description="of the ground that it works about its axle, m; 0: not told"
+    )
     load: Load | None = Field(
         default=None, description="what it carries and loses during the day; without it, its mass stays"
     )
@@ -355,6 +358,11 @@ class Zenoh(_Section):
         description="true: it is meant that everybody on the network may read, mark and speak in the "
         "daemon's name, where listen, connect or config lets them in without keys",
     )
+    ros: bool = Field(
+        default=False,
+        description="true: also publish as a node of ROS 2, for rmw_zenoh; needs the package `tilth[ros]`",
+    )
+    ros_domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID of that node")
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -367,6 +375,10 @@ class Estimation(_Section):
     two_step: bool = Field(
         default=False,
         description="also fit by the dissertation's two steps, to compare with: costs half as much as pem",
+    )
+    field_map: str | None = Field(
+        default=None,
+        description="file of what a season has told of a field, by `tilth map`: a prior of place and tracker",
     )
 
 

@@ -110,6 +110,7 @@ class NoticeCode(StrEnum):
     REPORT_AT_OWN_PRIORITY = "report_at_own_priority"
     REPORT_MADE = "report_made"
     RESUMED = "resumed"
+    FIELD_MAP = "field_map"
     UNFINISHED = "unfinished"
     UNLOCKED = "unlocked"
 

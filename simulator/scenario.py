@@ -25,6 +25,7 @@ class CannotBeDriven(ValueError):
     """The scenario asks too much of this machine; the text says what, and what to change."""
 
 
+ORIGIN_DEG: Final = (42.0267, -93.6465)  # latitude and longitude
 STEP_S: Final = 0.01  # between samples of a simulated run
 _CONFIG: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -241,6 +242,7 @@ class Soil:
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
     patch_across: Annotated[float, Field(ge=0.1, le=10)] = 1.0  # their length to east over that to north
     patch_common: Share = 1.0  # correlation of the patches that different axles feel
+    patch_seed: Annotated[int, Field(ge=0)] | None = None  # of the field, on every day; None: the seed
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -407,6 +409,9 @@ class Scenario:
     wheel_sensor: bool = True
     claims: bool = True  # False: everybody has claimed an address before the recording began
     other_traffic: bool = True  # the frames that nobody wants
+    origin_deg: tuple[Annotated[float, Field(ge=-80, le=80)], Annotated[float, Field(ge=-180, le=180)]] = (
+        ORIGIN_DEG  # latitude and longitude of x = y = 0
+    )
     utc_start_ns: Instant = 1_777_881_600_000_000_000  # 2026-05-04T08:00:00Z; a multiple of the sample period
     clock_offset_s: ClockOffset | None = None  # host clock minus UTC at the start; None: drawn
 

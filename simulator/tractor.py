@@ -117,7 +117,8 @@ def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) 
     rig = _rig(machine, scenario, believed, parameters, nuisances, drawn)
     time: Array = np.arange(round(seconds / STEP_S) + 1, dtype=np.float64) * STEP_S
     land = terrain(scenario.ground, scenario.roll_deg, rig, generator(seed, noise.GROUND))
-    soil = field(scenario.soil, parameters, rig, generator(seed, noise.SOIL), scenario.loads)
+    of_soil = seed if scenario.soil.patch_seed is None else scenario.soil.patch_seed
+    soil = field(scenario.soil, parameters, rig, generator(of_soil, noise.SOIL), scenario.loads)
     return Setting(seed, scenario, believed, parameters, nuisances, rig, time, land, soil)
 
 

@@ -25,6 +25,7 @@ from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import SOIL_CHANGE
 from tilth.estimator.filters.soil_field import Told, told
+from tilth.estimator.filters.soil_within import likelihoods
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.methods import fitted
 from tilth.estimator.methods.fitted import FittedState
@@ -238,7 +239,10 @@ def _told(
     published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
-    return told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
+    whole = told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
+    return whole if found.pieces is None else replace(
+        whole, within=likelihoods(found.pieces, wider, prior[1])
+    )  # fmt: skip
 
 
 def _posterior(

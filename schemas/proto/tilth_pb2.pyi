@@ -255,20 +255,22 @@ class OwnSteering(_message.Message):
     def __init__(self, share: _Optional[float] = ..., rms: _Optional[float] = ..., seconds: _Optional[float] = ...) -> None: ...
 
 class SoilPlace(_message.Message):
-    __slots__ = ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior")
+    __slots__ = ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior", "log_mean")
     LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     RADIUS_M_FIELD_NUMBER: _ClassVar[int]
     THIS_PASS_FIELD_NUMBER: _ClassVar[int]
     NEIGHBOURS_FIELD_NUMBER: _ClassVar[int]
     PRIOR_FIELD_NUMBER: _ClassVar[int]
+    LOG_MEAN_FIELD_NUMBER: _ClassVar[int]
     latitude_deg: float
     longitude_deg: float
     radius_m: float
     this_pass: float
     neighbours: float
     prior: float
-    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., radius_m: _Optional[float] = ..., this_pass: _Optional[float] = ..., neighbours: _Optional[float] = ..., prior: _Optional[float] = ...) -> None: ...
+    log_mean: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., radius_m: _Optional[float] = ..., this_pass: _Optional[float] = ..., neighbours: _Optional[float] = ..., prior: _Optional[float] = ..., log_mean: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class SoilTireEstimate(_message.Message):
     __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering", "of_place")

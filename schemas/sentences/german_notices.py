@@ -268,6 +268,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.REPORT_AT_OWN_PRIORITY: "der Bericht entsteht mit dem Vorrang der Aufzeichnung: {why}",
     NoticeCode.REPORT_MADE: "Bericht der Fahrt bis hier: {file}",
     NoticeCode.RESUMED: "{methods} gehen von dem aus, was bis vor {hours:.1f} h gelernt wurde",
+    NoticeCode.FIELD_MAP: "place und tracker gehen von der Karte des Feldes aus, das zuletzt vor {hours:.1f} h befahren wurde",
     NoticeCode.UNFINISHED: "{file} war unfertig und bleibt es: {why}",
     NoticeCode.UNLOCKED: (
         "{folder}: dieses Dateisystem kennt keine Sperren; aufgezeichnet wird trotzdem, aber kein anderes Programm "

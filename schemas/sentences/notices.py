@@ -281,6 +281,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.REPORT_AT_OWN_PRIORITY: "the report is made at the recorder's own priority: {why}",
     NoticeCode.REPORT_MADE: "report of the run so far: {file}",
     NoticeCode.RESUMED: "{methods} go on from what was learned until {hours:.1f} h ago",
+    NoticeCode.FIELD_MAP: "place and tracker begin from the field map, last driven {hours:.1f} h ago",
     NoticeCode.UNFINISHED: "{file} was left unfinished and stays so: {why}",
     NoticeCode.UNLOCKED: (
         "{folder}: this file system has no locks; it is recorded all the same, but no other program can be "
