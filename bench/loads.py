@@ -45,10 +45,10 @@ ROWS: Final = {
 
 
 def scenario(case: Case) -> Scenario:
-    loads = (LoadChange(0.0, FULL, exponent=case.exponent),)
+    loads = [LoadChange(0.0, FULL, exponent=case.exponent)]
     soil = FIELD
     if case.unloads:
-        loads += (LoadChange(AT_S, 1.0 / FULL, TAKES_S, case.exponent),)
+        loads.append(LoadChange(AT_S, 1.0 / FULL, TAKES_S, case.exponent))
     else:
         soil = Soil(FIELD.grip, FIELD.rolling, changes=(SoilChange(at_s=AT_S, over=TAKES_S, **SOFTER),))
     return Scenario(
