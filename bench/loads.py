@@ -52,7 +52,7 @@ def scenario(case: Case) -> Scenario:
     else:
         soil = Soil(FIELD.grip, FIELD.rolling, changes=(SoilChange(at_s=AT_S, over=TAKES_S, **SOFTER),))
     return Scenario(
-        seconds=SECONDS, speed=4.0, steering=WHEELS, soil=soil, ground=UNEVEN, loads=loads,
+        seconds=SECONDS, speed=4.0, steering=WHEELS, soil=soil, ground=UNEVEN, loads=tuple(loads),
         other_traffic=False
     )  # fmt: skip
 
