@@ -45,14 +45,14 @@ ROWS: Final = {
 
 
 def scenario(case: Case) -> Scenario:
-    loads = (LoadChange(0.0, FULL, exponent=case.exponent),)
+    loads = [LoadChange(0.0, FULL, exponent=case.exponent)]
     soil = FIELD
     if case.unloads:
-        loads += (LoadChange(AT_S, 1.0 / FULL, TAKES_S, case.exponent),)
+        loads.append(LoadChange(AT_S, 1.0 / FULL, TAKES_S, case.exponent))
     else:
         soil = Soil(FIELD.grip, FIELD.rolling, changes=(SoilChange(at_s=AT_S, over=TAKES_S, **SOFTER),))
     return Scenario(
-        seconds=SECONDS, speed=4.0, steering=WHEELS, soil=soil, ground=UNEVEN, loads=loads,
+        seconds=SECONDS, speed=4.0, steering=WHEELS, soil=soil, ground=UNEVEN, loads=tuple(loads),
         other_traffic=False
     )  # fmt: skip
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from tilth.cli import WrongUse, duration
 from tilth.logger.machine_file import implement_of, read_machine, read_rigs
-from tilth.schemas.plausible import unusual
 
 if TYPE_CHECKING:  # with the estimators: what is wrong with the machine file is said before they are there
     from tilth.logger.outlets import Events
@@ -54,8 +53,6 @@ def run(args: argparse.Namespace) -> int:
     from tilth.logger.status_line import PanelDisplay, PlainDisplay
     from tilth.logger.supervisor import of_environment
     from tilth.logger.zenoh.session import refusal
-    from tilth.schemas.flow import EventKind
-    from tilth.schemas.notices import in_words
 
     events: Events = deque()
     folder = args.log or Path(next(iter(rigs.values())).machine.log.folder)
@@ -63,7 +60,6 @@ def run(args: argparse.Namespace) -> int:
     name = named or chosen(rigs, folder, lambda kind, told: events.append((kind, told)))
     machine_file = read_machine(args.machine) if named else rigs[name]
     machine = machine_file.machine
-    events.extend((EventKind.MACHINE_FILE, in_words(text)) for text in unusual(machine))
     if refused := "" if args.no_zenoh else refusal(machine):
         raise WrongUse(refused)
     stopping = False

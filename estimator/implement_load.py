@@ -124,8 +124,9 @@ def carried_now(state: State, t_ns: int) -> Carried | None:
     return told and aged(state.empty, told, (t_ns - told.t_ns) * 1e-9)
 
 
-def later(machine: Machine, carried: Carried | None, elapsed_s: float, t_ns: int) -> Carried | None:
-    """What a run before has left, so much later. machine: as its file describes it."""
-    if carried is None or machine.implement.load is None:
+def later(machine: Machine, told: Carried | None, elapsed_s: float, t_ns: int) -> Carried | None:
+    """What a run before has left, so much later: what it has learned is over that mass, and as sure of it.
+    Its age counts when an estimate is published. machine: as its file describes it."""
+    if told is None or machine.implement.load is None:
         return None
-    return replace(aged(machine, carried, elapsed_s), t_ns=t_ns)
+    return replace(told, t_ns=min(told.t_ns, t_ns - round(elapsed_s * 1e9)))

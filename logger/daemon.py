@@ -39,7 +39,8 @@ from tilth.logger.zenoh.sink import SIMULATED_SUFFIX, ZenohSink
 from tilth.schemas.channels import CHANNEL, READY_TOPIC
 from tilth.schemas.flow import AddressClaim, Event, EventKind, Frame, Measurement, Ready, UtcTime
 from tilth.schemas.machine_toml import MachineFile
-from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.notices import Notice, NoticeCode, in_words, notice
+from tilth.schemas.plausible import unusual
 from tilth.schemas.proto import tilth_pb2 as pb
 
 TURN_S = 0.1  # longest wait for a frame: a stop is noticed in that time
@@ -76,6 +77,7 @@ class Daemon:
         """
         self._events: Events = deque() if events is None else events
         machine = machine_file.machine
+        self._events.extend((EventKind.MACHINE_FILE, in_words(text)) for text in unusual(machine))
         supervisor = Supervisor({}) if supervisor is None else supervisor
         estimation = LiveEstimation(machine, self._report)
         fold = estimation.fold

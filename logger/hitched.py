@@ -14,7 +14,9 @@ from tilth.logger.log import whole_file
 from tilth.logger.log.marks import Marks, OrderWords
 from tilth.logger.outlets import Outlets
 from tilth.schemas.channels import CHANNEL
+from tilth.schemas.device_names import device, of_implement
 from tilth.schemas.flow import Event, EventKind
+from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, Report, notice
 
@@ -66,12 +68,18 @@ class Hitched:
         self._clock = clock
         self._outlets = outlets
         self._owners = _owners(self.rigs)
+        self._in_files = {name for rig, _ in self.rigs.values() for name in _names(rig)}
         self._heard: dict[str, int] = {}  # implement -> one of its NAMEs
+        self._strange: dict[int, int | None] = {}  # NAME in no file -> when it was heard; None: that is said
         self._since_ns: int | None = None  # when another than this one was heard first
 
     def heard(self, name: int | None) -> None:
         """A device with this NAME has sent something."""
-        if name is None or (owner := self._owners.get(name)) is None:
+        if name is None:
+            return
+        if (owner := self._owners.get(name)) is None:
+            if name not in self._in_files and of_implement(name) and name not in self._strange:
+                self._strange[name] = self._clock.t_ns()
             return
         self._heard[owner] = name
         if owner != self.name and self._since_ns is None:
@@ -95,6 +103,23 @@ class Hitched:
             self._since_ns = None
             self._take_heard()
 
+        for strange, heard_ns in self._strange.items():
+            if heard_ns is not None and self._clock.t_ns() - heard_ns > SETTLED_NS:
+                self._strange[strange] = None
+                self._say_strange(strange)
+
+    def _say_strange(self, name: int) -> None:
+        """An implement that nobody has described may be hitched on; one that is known has been heard, too."""
+        if self.name in self._heard or self.following:
+            return
+        told = notice(
+            NoticeCode.IMPLEMENT_STRANGE, device=device(name), name=f"{name:016X}",
+            implement=self.name or "the machine file's implement",
+        )  # fmt: skip
+        event = Event(self._clock.t_ns(), EventKind.IMPLEMENT, told)
+        self._outlets.put("/event", event.t_ns, CHANNEL["/event"].encode(event))
+        self._outlets.show_event(event)
+
     def _take_heard(self) -> None:
         if self.name in self._heard or len(self._heard) != 1:
             return
@@ -116,11 +141,16 @@ class Hitched:
         return "" if name in self.rigs else f"no implement {name}; there are {', '.join(self.rigs)}"
 
 
+def _names(machine: Machine) -> set[int]:
+    """Of all that is on an implement, as its file says."""
+    own = (one.name for one in machine.receiver if one.mount.startswith("implement"))
+    return {*machine.implement.names, *(name for name in own if name is not None)}
+
+
 def _owners(rigs: Rigs) -> dict[int, str]:
     """NAME -> the implement whose file alone has it."""
     owners: dict[int, list[str]] = {}
     for implement, (machine, _) in rigs.items():
-        own = (one.name for one in machine.receiver if one.mount.startswith("implement"))
-        for name in {*machine.implement.names, *(name for name in own if name is not None)}:
+        for name in _names(machine):
             owners.setdefault(name, []).append(implement)
     return {name: found[0] for name, found in owners.items() if len(found) == 1}

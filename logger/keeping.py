@@ -46,14 +46,18 @@ class Keeping:
         self._written = standing
         if learned or standing != before or (moved and self._fold.contradicted):
             text = warm_start_file.text_of(
-                self._machine, learned, t_ns, accepted, moved, self._fold.carried(t_ns)
+                self._machine, learned, t_ns, accepted, moved, self._fold.state.carried
             )
             recording.on_disk_thread(lambda: whole_file.write(self._path, text.encode()))
+        tractor = warm_start_file.tractor_path(self._path.parent, self._machine)
+        if tractor is not None and standing[0] != before[0]:
+            own = warm_start_file.tractor_text(self._machine, accepted)
+            recording.on_disk_thread(lambda: whole_file.write(tractor, own.encode()))
 
     def _standing(self) -> tuple[int, tuple[str, ...], bool, float]:
         """What the next run has to know at once: values accepted, what has been moved, a contradiction, kg
         that
         the implement carries."""
         moved = tuple(name for one in self._fold.unsettled for name in one.names)
-        load = self._fold.carried(0)
+        load = self._fold.state.carried
         return len(self._fold.accepted), moved, bool(self._fold.contradicted), load.mass if load else 0.0

@@ -56,6 +56,14 @@ def read_rigs(path: Path | str) -> dict[str, MachineFile]:
         name = machine_file.machine.implement.name or ""
         if name in rigs:
             raise MachineError(f'{of}: name = "{name}" is that of another implement too; each needs its own')
+        for other in rigs.values():
+            own_units = set(machine_file.machine.implement.names)
+            if twice := own_units & set(other.machine.implement.names):
+                raise MachineError(
+                    f"{of}: NAME {min(twice):016X} is in implement.names of {other.machine.implement.name} "
+                    "too; it is of one control unit, so leave it out where it is not. What moves from one "
+                    "implement to another belongs to neither"
+                )
         rigs[name] = machine_file
     return rigs
 

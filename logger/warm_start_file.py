@@ -1,7 +1,8 @@
 """`<log folder>/<machine>+<implement>.warm.json`: what a run has learned, for the next one.
 
 It belongs to a machine as its file describes it: where a part of that has changed, what was learned before is
-of another rig. What a run takes from it stands as the first state in its log.
+of another rig. What a run takes from it stands as the first state in its log. Values accepted of a tractor
+that pulls several implements stand in `<machine>.tractor.json` as well: they hold with each of them.
 """
 
 import hashlib
@@ -13,6 +14,7 @@ from typing import Any, Final, NamedTuple
 from tilth.estimator.diagnosis import watch
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.methods import place
+from tilth.estimator.rig.numbers import DRAWBAR
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.logger.guarded_fold import FIELD_MAP
@@ -56,6 +58,45 @@ class NotUsable(Exception):
 def path_of(folder: Path, machine: Machine) -> Path:
     """Where what the estimators learned of a machine is stored, in the log folder."""
     return folder / f"{machine.rig}.warm.json"
+
+
+def tractor_path(folder: Path, machine: Machine) -> Path | None:
+    """Where values accepted of the tractor are stored; None where one file is of all."""
+    return folder / f"{machine.name}.tractor.json" if machine.implement.name else None
+
+
+def tractor_text(machine: Machine, accepted: Sequence[Accepted]) -> str:
+    """What is to be written there. machine: as its file describes it."""
+    own = [one for one in accepted if _of_tractor(one)]
+    plain = {"format": FORMAT, "sections": _of_the_tractor(machine), "accepted": to_json_data(own)}
+    return json.dumps(plain, indent=1)
+
+
+def _of_tractor(accepted: Accepted) -> bool:
+    return accepted.what != DRAWBAR and "implement" not in accepted.what
+
+
+def _accepted_of_tractor(path: Path | None, machine: Machine, report: Report) -> list[Accepted]:
+    """As stored with whichever implement."""
+    try:
+        plain = json.loads(whole_file.read(path)) if path is not None else {}
+        if not plain or plain["format"] != FORMAT or plain["sections"] != _of_the_tractor(machine):
+            return []
+        own: list[Accepted] = from_json_data(list[Accepted], plain["accepted"])
+        return own
+    except FileNotFoundError:
+        return []
+    except Exception as error:  # anything may stand there, and a run begins whatever it is
+        why = f"{path} is damaged ({error!r:.200})"
+        report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=why))
+        return []
+
+
+def _of_the_tractor(machine: Machine) -> dict[str, str]:
+    receivers = [one for one in machine.receiver if one.mount.body == "tractor"]
+    return _digests(
+        machine.model_copy(update={"receiver": receivers}), ("tractor", "receiver", "wheel_angle")
+    )
 
 
 def text_of(
@@ -119,7 +160,7 @@ def _time_ns(told: int) -> int:
     return int(told)
 
 
-def _digests(machine: Machine) -> dict[str, str]:
+def _digests(machine: Machine, of: Sequence[str] = SECTIONS) -> dict[str, str]:
     """Section -> digest of what it says, defaults included, and without what an implement is called."""
 
     def digest(section: Any) -> str:
@@ -127,7 +168,7 @@ def _digests(machine: Machine) -> dict[str, str]:
         plain = [one.model_dump(mode="json", exclude=called) for one in section]
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()[:16]
 
-    sections = {name: getattr(machine, name) for name in SECTIONS}
+    sections = {name: getattr(machine, name) for name in of}
     return {name: digest(s if isinstance(s, (list, tuple)) else [s]) for name, s in sections.items()}
 
 
@@ -139,6 +180,11 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
         of_map = _kept(Path(machine.estimation.field_map), machine, t_ns, SOILS, report, needed=True)
         if of_map is not None and place.METHOD in of_map.learned:
             field_map = of_map.learned[place.METHOD], of_map.elapsed_s
+    of_tractor = _accepted_of_tractor(tractor_path(path.parent, machine), machine, report)
+    before = [] if found is None else found.accepted
+    if later := [one for one in of_tractor if one not in before]:  # with another implement
+        accepted = sorted([*before, *later], key=lambda one: one.t_ns)
+        found = (found or KeptRun({}, 0.0, [], [], [], None))._replace(accepted=accepted, learned={})
     if found is None:
         if field_map is None:
             return False

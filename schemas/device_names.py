@@ -267,6 +267,13 @@ def name_words(name: int) -> dict[str, str]:
     return {key: word for key, word in names.items() if word}
 
 
+def of_implement(name: int) -> bool:
+    """Whether a NAME is of a machine that is pulled or carried, by its device class of ISO 11783."""
+    parts = name_parts(name)
+    kind = parts["device_class"]
+    return parts["industry_group"] == AGRICULTURE and (2 <= kind <= 15 or 25 <= kind <= 28)
+
+
 def device(name: int) -> str:
     """Manufacturer and function of a NAME, for people, such as "John Deere, navigation, instance 1"."""
     parts, words = name_parts(name), name_words(name)

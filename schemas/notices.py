@@ -97,6 +97,7 @@ class NoticeCode(StrEnum):
     IMPLEMENT_ASSUMED = "implement_assumed"
     IMPLEMENT_CHANGED = "implement_changed"
     IMPLEMENT_HEARD = "implement_heard"
+    IMPLEMENT_STRANGE = "implement_strange"
     KERNELS_COMPILED = "kernels_compiled"
     KERNELS_REFUSED = "kernels_refused"
     LEARNED_REFUSED = "learned_refused"

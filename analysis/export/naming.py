@@ -28,6 +28,7 @@ _NO_VALUES: Final = (
     "measurement_address_claim",
     "event",
     "accepted",
+    "load",
     "addresses",
     "fit",
     "ready",

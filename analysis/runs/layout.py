@@ -27,7 +27,8 @@ UNITS: Final[dict[str, str]] = {
     "sd_wheel_angle": "rad", "angle": "rad", "curvature": "1/m", "latitude": "deg", "longitude": "deg",
     "altitude": "m", "disk_free_bytes": "byte", "log_bytes": "byte", "hours_left": "h", "d": "m", "e": "m",
     "a": "m", "b": "m", "c": "m", "h_t": "m", "h_i": "m", "m_t": "kg", "m_i": "kg", "I_t": "kg m^2",
-    "I_i": "kg m^2", "rms": "rad", "seconds": "s",
+    "I_i": "kg m^2", "rms": "rad", "seconds": "s", "mass": "kg", "whole_mass": "kg",
+    "carried_mass": "kg", "full_load": "kg",
 }  # fmt: skip
 """Of fields whose name does not end with its unit."""
 _IN_NAMES: Final = {"s": "s", "ns": "ns", "m": "m", "deg": "deg"}
@@ -47,7 +48,7 @@ SUFFIXES: Final = {
     "m/s^2/rad": "mps2_per_rad",
 }  # fmt: skip
 SD_UNITS: Final = {"position": "m", "velocity": "m/s", "heading": "rad", "yaw_rate": "rad/s",
-                   "attitude": "rad", "time": "s", "wheel_angle": "rad"}  # fmt: skip
+                   "attitude": "rad", "time": "s", "wheel_angle": "rad", "load": "kg"}  # fmt: skip
 """Of the sd of each kind of measurement that has one."""
 LENGTHS: Final = {"log_covariance": 36, "bound": 6}  # of lists of doubles
 _WHOLE: Final = {FieldDescriptor.TYPE_SINT32: wire.ZIGZAG, FieldDescriptor.TYPE_SINT64: wire.ZIGZAG}

@@ -248,6 +248,12 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "ein Steuergerät von {implement} meldet sich (NAME {device}), keines des vorigen Geräts: {implement} "
         "ist angehängt, eine neue Fahrt beginnt"
     ),
+    NoticeCode.IMPLEMENT_STRANGE: (
+        "{device} (NAME {name}) meldet sich und steht in der Datei keines Geräts; die Werte sind die von "
+        '{implement}. Ist es dieses, names = ["{name}"] in [implement] seiner Datei schreiben. Sonst braucht '
+        "es eine Datei: Masse, Spurweite, Deichsel bis Achse und Plätze der Empfänger messen; `tilth calibrate` "
+        "findet die Längen beim Fahren"
+    ),
     NoticeCode.KERNELS_COMPILED: (
         "der Rechenteil wurde in {compiling_s:.0f} s übersetzt, während aufgezeichnet wurde; die Schätzung beginnt"
     ),

@@ -261,6 +261,12 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "a device of {implement} is heard (NAME {device}), and none of the implement before: {implement} is "
         "hitched on, and a new run begins"
     ),
+    NoticeCode.IMPLEMENT_STRANGE: (
+        "{device} (NAME {name}) is heard, which no implement's file has; estimates are as of {implement}. If "
+        'it is that one, write names = ["{name}"] into [implement] of its file. If not, give it a file: '
+        "measure its mass, its track, hitch to axle and where its receivers stand; `tilth calibrate` finds "
+        "the lengths from driving"
+    ),
     NoticeCode.KERNELS_COMPILED: (
         "kernels were compiled for {compiling_s:.0f} s while frames were recorded; estimates begin"
     ),

@@ -116,7 +116,13 @@ def test_a_load_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     for frame in drive[: len(drive) // 2]:
         daemon.take(frame)
     name = ["--machine", str(file)]
-    words = ([], ["--load", "5.5 t"], ["--load", "9 t"], [], ["cart", "--load", "full"])
+    words: tuple[list[str], ...] = (
+        [],
+        ["--load", "5.5 t"],
+        ["--load", "9 t"],
+        [],
+        ["cart", "--load", "full"],
+    )
     asked = [["implement", *more, *name] for more in words]
     assert commands(daemon, *asked) == [0, 0, 2, 0, 2]
     output = capsys.readouterr()

@@ -16,7 +16,7 @@ from tilth.logger.hitched import SETTLED_NS, chosen
 from tilth.logger.machine_file import read_machine, read_rigs
 from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
-from tilth.schemas.flow import Frame
+from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import MachineError
 from tilth.schemas.machine_toml import joined, parse_machine
 from tilth.schemas.notices import Notice, NoticeCode
@@ -194,3 +194,79 @@ def test_an_implement_is_known_by_a_device_that_it_alone_has(
         daemon.close()
     kept = hitched.path_of(tmp_path / "logs", "jd7930-parker500")
     assert (kept.read_text() if kept.exists() else "") == following
+
+
+@pytest.mark.usefixtures("prepared")
+def test_what_is_accepted_of_the_tractor_holds_with_each_implement(file: Path, tmp_path: Path) -> None:
+    rigs, logs = read_rigs(file), tmp_path / "logs"
+    wheel = Accepted(5, "wheel_angle", (0.0175,), (0.001,))
+    aside = Accepted(6, "implement_front", (0.1, 0.0), (0.01, 0.01))
+
+    def run(name: str, *accepted: Accepted) -> list[str]:
+        """What is accepted in a run, at its end."""
+        daemon = Daemon(rigs[name], logs, None, NoDisplay(), rigs=rigs, keep=True)
+        fold = daemon.parts.estimation.fold
+        for one in accepted:
+            fold.accept(one)
+        daemon.turn(0.0)
+        daemon.close()
+        return [one.what for one in fold.accepted]
+
+    with can.Bus(interface="virtual", channel="tilth-hitched"):
+        assert run("parker", wheel, aside) == ["wheel_angle", "implement_front"]
+        assert run("krampe") == ["wheel_angle"]
+        assert run("krampe") == ["wheel_angle"]  # once
+        assert run("parker") == ["wheel_angle", "implement_front"]
+        kept = warm_start_file.tractor_path(logs, rigs["parker"].machine)
+        assert kept is not None
+        kept.write_text("{")
+        assert run("krampe") == [] and run("parker") == ["wheel_angle", "implement_front"]
+
+
+SPREADER = 0xA00A8A0000A00123  # a fertiliser spreader that no file has
+
+
+@pytest.mark.usefixtures("prepared")
+@pytest.mark.parametrize(
+    ("heard", "told"),
+    [((SPREADER,), True), ((SPREADER, 0xC07891000B002711), False), ((0xA0028A0000A00123,), False)],
+)
+def test_an_implement_that_nobody_described(
+    file: Path, tmp_path: Path, heard: tuple[int, ...], told: bool
+) -> None:
+    """It is said once; a device beside those of the implement is its own, and one of a tractor is none."""
+    rigs = read_rigs(file)
+    with can.Bus(interface="virtual", channel="tilth-hitched"):
+        daemon = Daemon(rigs["parker"], tmp_path / "logs", None, NoDisplay(), rigs=rigs)
+        for source, name in enumerate(heard, 0x80):
+            daemon.take(claim(name, source, daemon.parts.clock.t_ns()))
+        for _ in range(2):
+            daemon.parts.clock.offset_ns += SETTLED_NS + 1
+            daemon.turn(0.0)
+        assert daemon.parts.hitched.following == ""
+        (log,) = daemon.close().log_files
+    said = [e.text for e in records_of(log, "/event", pb.Event) if e.notice.code == "implement_strange"]
+    assert len(said) == told
+    if told:
+        assert 'names = ["A00A8A0000A00123"]' in said[0] and "estimates are as of parker" in said[0]
+        assert "fertilizer" in said[0] or "fertiliser" in said[0]
+
+
+@pytest.mark.usefixtures("prepared")
+def test_each_run_tells_what_is_unusual_in_its_file(file: Path, tmp_path: Path) -> None:
+    (file.parent / "krampe.toml").write_text(KRAMPE.replace("cg_height = 1.2", "cg_height = 3.0"))
+    rigs = read_rigs(file)
+    for name, rare in (("parker", 0), ("krampe", 1)):
+        with can.Bus(interface="virtual", channel="tilth-hitched"):
+            daemon = Daemon(rigs[name], tmp_path / name, None, NoDisplay(), rigs=rigs)
+            daemon.turn(0.0)
+            (log,) = daemon.close().log_files
+        said = [e.text for e in records_of(log, "/event", pb.Event) if e.kind == "machine_file"]
+        assert len([text for text in said if "implement.cg_height = 3 m: rare" in text]) == rare
+
+
+def test_a_control_unit_is_of_one_implement(file: Path) -> None:
+    for name, text in (("parker.toml", PARKER), ("krampe.toml", KRAMPE)):
+        (file.parent / name).write_text(text.replace("\nd =", '\nnames = ["A00A8A0000A00123"]\nd =', 1))
+    with pytest.raises(MachineError, match=r"in implement\.names of parker too; it is of one"):
+        read_rigs(file)

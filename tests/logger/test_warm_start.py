@@ -38,6 +38,7 @@ from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import event_sentence, sentence
+from tilth.simulator.scenario import ORIGIN_DEG
 from tilth.simulator.traffic import simulate
 
 SECOND = 1_000_000_000
@@ -132,6 +133,32 @@ def test_a_sd_doubles_in_a_day_and_ends_at_the_prior() -> None:
     prior = sds(fold.initial(MACHINE))[unknowns.SIX]
     assert aged[3] == pytest.approx(prior)
     assert state.estimators[pem.METHOD].mean == pytest.approx(unknowns.prior(MACHINE)[0])
+
+
+def test_a_pair_that_comes_back_after_a_week_begins_where_it_was_left(tmp_path: Path) -> None:
+    """As wide as the fading says, whatever another implement has learned meanwhile."""
+    parker, other = (
+        MACHINE.model_copy(update={"implement": MACHINE.implement.model_copy(update={"name": name})})
+        for name in ("parker", "other")
+    )
+    week = 7 * 86_400 * SECOND
+    for machine, t_ns in ((parker, NOW), (other, NOW + week // 2)):
+        text = warm_start_file.text_of(machine, save_learned(taught(), NOW), t_ns)
+        warm_start_file.path_of(tmp_path, machine).write_text(text)
+    found = warm_start_file.read(warm_start_file.path_of(tmp_path, parker), parker, NOW + week)
+    assert found is not None and found.elapsed_s == pytest.approx(week * 1e-9)
+    state, memory = fold.initial(parker), ROW[tracker.METHOD].memory
+    assert memory is not None
+    fresh = memory.learned(state.estimators[tracker.METHOD])
+    assert not any(resume(state, found.learned, found.elapsed_s, NOW + week).values())
+    left, now = (memory.learned(one.estimators[tracker.METHOD]) for one in (taught(), state))
+    share = 4.0 ** (-week * 1e-9 / WARM_START.doubles_s)
+    six = unknowns.SIX
+    before, wide = np.diag(left.covariance)[six], np.diag(fresh.covariance)[six]
+    assert np.all(np.diag(now.covariance)[six] > before) and np.all(np.diag(now.covariance)[six] <= wide)
+    assert np.all(np.diag(now.covariance)[six] > wide / (1.0 + share * (wide / before).max() * 10.0))
+    moved, was = (now.mean - fresh.mean)[six], (left.mean - fresh.mean)[six]
+    assert np.all(np.abs(moved) <= np.abs(was) + 1e-9)  # between it and the prior
 
 
 def test_what_windows_told_of_a_place_ages_and_is_of_no_pass_of_this_run() -> None:
@@ -320,6 +347,35 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     assert comparison.difference == "" and comparison.compared > 500
     assert summary.estimates["pem"].parameters[0].value is not None
     assert summary.estimates["place"].of_place is not None  # the windows of the run before, in another plane
+
+
+def test_a_run_that_begins_with_a_map_of_its_field_replays_alone(tmp_path: Path, talker: can.BusABC) -> None:
+    state, file = taught(), tmp_path / "field.json"
+    memory = state.estimators[place.METHOD]
+    (window,) = memory.windows
+    sure = replace(
+        window.told, information=2500.0 * np.eye(6), vector=np.full(6, 250.0), model_sd=np.zeros(6)
+    )
+    memory.origin_deg = ORIGIN_DEG
+    memory.windows = [
+        replace(window, told=sure, path=window.path + np.array([9.0 * k, 0.0])) for k in range(6)
+    ]
+    learned = {place.METHOD: save_learned(state, NOW)[place.METHOD]}
+    _, text = rig(tmp_path, VIRTUAL)
+    text += f'\n[estimation]\nfield_map = "{file}"\n'
+    machine = parse_machine(text)
+    file.write_text(warm_start_file.text_of(machine, learned, Clock().t_ns() - 60 * SECOND))
+    daemon, result = a_run(tmp_path, (machine, text), keep=True)
+    assert "field map" in result.of_warm_start()[0]
+    for frame in now(list(simulate(MACHINE, 3, 4.0))):
+        daemon.take(frame)
+    assert daemon.parts.estimation.fold.state.estimators["tracker"].map_mean is not None
+    logs = daemon.close().log_files
+    file.unlink()
+    comparison = Comparison()
+    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
+    assert comparison.difference == "" and comparison.compared > 500
+    assert "map_age_s" in summary.estimates["tracker"].excitation
 
 
 def slipped() -> Moved:

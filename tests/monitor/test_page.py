@@ -296,6 +296,21 @@ def test_an_implement_is_chosen_on_the_page(browser: Browser) -> None:
         page.context.close()
 
 
+def test_what_the_implement_carries_is_said_by_a_tap(browser: Browser) -> None:
+    with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
+        page, faults = opened(browser, monitor, "phone")
+        expect_run(page, "RECORDING", "good")
+        expect(page.locator("#load")).to_be_hidden()
+        stage.order(load=-1.0)
+        expect(page.locator("#load")).to_contain_text("carries: nobody has said what (full: 6.0 t)")
+        page.locator("#load button", has_text="full").click()
+        expect(page.locator("#load")).to_contain_text("carries 6.0 t ± 0.3 t")
+        page.locator("#load button", has_text="empty").click()
+        expect(page.locator("#load")).to_contain_text("carries 0.0 t ± 0.3 t")
+        assert faults.told == []
+        page.context.close()
+
+
 def test_what_has_been_moved_is_accepted_by_a_tap(browser: Browser) -> None:
     with Stage() as stage, closing(Monitor("--connect", stage.endpoint)) as monitor:
         page, faults = opened(browser, monitor, "phone")

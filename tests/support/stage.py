@@ -48,7 +48,7 @@ MOUNTS = ("tractor_front", "tractor_rear", "implement_front", "implement_rear")
 ORDERS: dict[str, Any] = {
     "scale": 1.0, "lost": "", "recording": True, "event": "", "text": "", "version": "", "silent": False,
     "problem": "", "refusal": "", "preparing": "", "ready_in_s": None, "invalid": "", "flag": "", "moved": [],
-    "implements": [],
+    "implements": [], "load": None,
     "run": "20261121T080000Z", "log_file": "", "wheel": None, "ahead_s": 0.0,
 }  # fmt: skip
 
@@ -145,6 +145,9 @@ def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
     if orders["implements"]:  # the first is hitched on
         result.implement = orders["implements"][0]
         result.implements.extend(sorted(orders["implements"]))
+    if orders["load"] is not None:  # what it carries, kg; below zero: nobody has said it
+        result.full_load, result.load.mass = 6000.0, orders["load"]
+        result.load.source, result.load.sd = "nobody" if orders["load"] < 0 else "operator", 300.0
     if orders["moved"]:
         result.moved.add(names=orders["moved"], text=f"{orders['moved'][0]} has been moved 0.10 m forward")
     result.buses.add(name="can0", state="open", frames_per_s=800.0, load=0.45)
@@ -249,7 +252,11 @@ def main() -> None:
         orders["implements"] = sorted(orders["implements"], key=lambda one: one != name)
         query.reply(query.key_expr, b"")
 
-    answers = {"mark": mark, "accept": accept, "implement": implement}
+    def load(query: zenoh.Query, client: str) -> None:
+        orders["load"] = {"full": 6000.0, "empty": 0.0}[query.payload.to_string() if query.payload else ""]
+        query.reply(query.key_expr, b"")
+
+    answers = {"mark": mark, "accept": accept, "implement": implement, "load": load}
     sink = ZenohSink(parse_machine(text_on(port)), "replay", answers=answers)
     ended = take_orders(orders)
     ready()

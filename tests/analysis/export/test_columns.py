@@ -60,7 +60,7 @@ def test_every_field_of_every_message(written: Written, channel: str) -> None:
                 told = Status(value).name.lower() if name.endswith("_status") else value
                 assert _cell(rows, name, k) == told, (name, k)
                 read.add(name)
-    times = {"t_s", "utc_s", "utc", "rx_s"}
+    times = {"t_s", "utc_s", "utc", "rx_s", "load_t_ns"}
     assert set(names) - times <= read and (
         len(read) > 1 or channel in ("ready", "fit", "accepted", "addresses")
     )

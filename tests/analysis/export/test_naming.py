@@ -34,6 +34,7 @@ def test_all_where_none_is_wanted() -> None:
         "measurement_address_claim",
         "event",
         "accepted",
+        "load",
         "addresses",
         "fit",
         "ready",
