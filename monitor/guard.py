@@ -12,7 +12,8 @@ from tilth.monitor.invitation import ASK, COOKIE, KEY, Invitation
 from tilth.monitor.origin import Refusal, refusal
 
 POLICY: Final = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    "default-src 'none'; manifest-src 'self'; script-src 'self'; style-src 'self'; img-src 'self'; "
+    "connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 HEADERS: Final = (

@@ -65,6 +65,7 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/steering.js", "steering.js", "text/javascript"),
     ("/traces.js", "traces.js", "text/javascript"),
     ("/icon.svg", "icon.svg", "image/svg+xml"),
+    ("/page.webmanifest", "page.webmanifest", "application/manifest+json"),
     ("/uplot/uPlot.iife.min.js", "uplot/uPlot.iife.min.js", "text/javascript"),
     ("/uplot/uPlot.min.css", "uplot/uPlot.min.css", "text/css"),
     ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),

@@ -425,6 +425,14 @@ def test_a_phone_has_the_soil_at_once_and_all_else_by_one_tap(
     page.context.close()
 
 
+def test_a_phone_makes_an_app_of_it(browser: Browser, stage: tuple[Stage, Monitor]) -> None:
+    page, faults = opened(browser, stage[1], "phone")
+    manifest = page.context.new_cdp_session(page).send("Page.getAppManifest")
+    assert manifest["errors"] == [] and '"display": "standalone"' in manifest["data"]
+    assert not faults.told
+    page.context.close()
+
+
 def test_a_phone_is_turned_and_nothing_is_wider_than_it(
     browser: Browser, stage: tuple[Stage, Monitor]
 ) -> None:

@@ -236,8 +236,8 @@ def test_another_implementation_of_ros_reads_all_of_it(sink: ZenohSink, machine:
         assert running.stdout is not None
         head = [line.rstrip() for line in iter(running.stdout.readline, "listening\n")]
         assert f"node /{OWN} tilth" in head
-        assert f"topic /{OWN}/tractor/odometry nav_msgs/msg/Odometry" in head
-        assert "topic /tf tf2_msgs/msg/TFMessage" in head
+        assert f"topic /{OWN}/tractor/odometry nav_msgs::msg::dds_::Odometry_" in head
+        assert "topic /tf tf2_msgs::msg::dds_::TFMessage_" in head
         for topic, data in everything(machine):
             sink.put(topic, data)
         told = running.stdout.read()
