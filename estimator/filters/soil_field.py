@@ -12,14 +12,14 @@ model are common to all windows of a method: a random effect, so they do not ave
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import chdtrc
+from scipy.special import chdtrc, logsumexp
 
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.state_json import Shape
@@ -50,11 +50,16 @@ class SoilFieldTuning:
     changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")
     telling: float = tuned(0.02, "1", "information over the prior's, of a direction that is used")
     likely: float = tuned(1e-3, "1", "likelihood over the largest: of a hypothesis that is not left out")
+    along: float = tuned(
+        math.log(10.0), "nat", "that the ways of windows tell of patches at most, or against them"
+    )
+    """Patches go on everywhere, a wet end does not: all windows may lie in zones of one soil each. While it
+    was counted in full, and for which patches, 82 86 92 % of intervals held in rows of two fields with wet
+    ends, where without it 89 92 95 did."""
     points: int = tuned(6, "positions", "of a path")
 
 
 SOIL_FIELD: Final = SoilFieldTuning()
-_KINDS: Final = len(SOIL_FIELD.sds) * len(SOIL_FIELD.lengths_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +69,7 @@ class Told:
     information: Annotated[Array, Shape((6, 6))]
     vector: Annotated[Array, Shape((6,))]  # information @ (what it says alone, less the prior's mean)
     model_sd: Annotated[Array, Shape((6,))]  # of errors of the model, in common with others of its method
-    within: Annotated[Array, Shape((_KINDS,))] = field(default_factory=lambda: np.zeros(_KINDS))
-    """Logarithm of the likelihood of how soil differed along its way, by each of VARIOGRAMS."""
+    patches: float = 0.0  # nats by which patches explain what differs along its way better than one soil
 
 
 def told(
@@ -137,7 +141,7 @@ def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
         one.told.information + other.told.information,
         one.told.vector + other.told.vector,
         np.maximum(one.told.model_sd, other.told.model_sd),
-        one.told.within + other.told.within,
+        one.told.patches + other.told.patches,
     )
     return replace(max(one, other, key=lambda window: window.begin_ns), told=told)
 
@@ -154,7 +158,7 @@ class KeptSoil:
         return all(
             np.all(np.isfinite(part))
             for w in self.windows
-            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd, w.told.within)
+            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd, w.told.patches)
         )
 
     def faded(self, share: float) -> "KeptSoil":
@@ -163,7 +167,7 @@ class KeptSoil:
         def less(told: Told) -> Told:
             return replace(
                 told, information=share * told.information, vector=share * told.vector,
-                within=share * told.within,
+                patches=share * told.patches,
             )  # fmt: skip
 
         return replace(self, windows=[replace(w, told=less(w.told)) for w in self.windows])
@@ -212,6 +216,11 @@ class Variogram(NamedTuple):
     length_m: float
     correlation: Callable[[Array, float], Array] = exponential
     beforehand: float = 1.0  # how probable it is before any window, over that of another
+
+    @property
+    def alike(self) -> bool:
+        """Whether it is one soil."""
+        return self.sd == min(SOIL_FIELD.sds)
 
     @property
     def kind(self) -> tuple[float, Callable[[Array, float], Array]]:
@@ -305,15 +314,16 @@ class SoilMemory:
             key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
             for key, one in self._kinds.items()
         }
-        along = np.zeros(len(self.variograms))
-        if self.variograms is VARIOGRAMS:
-            along += sum(window.told.within for window in self.windows)
+        # Only whether there are patches: which ones, windows tell that are apart. Nor may it grow for ever.
+        along = sum(window.told.patches for window in self.windows)
+        along = min(max(along, -SOIL_FIELD.along), SOIL_FIELD.along)
         found, logs = [], []
-        for one, likely in zip(self.variograms, along.tolist(), strict=True):
+        for one in self.variograms:
             root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            likely -= 0.5 * distance + float(np.sum(np.log(np.diag(root))))
+            likely = -0.5 * distance - float(np.sum(np.log(np.diag(root))))
+            likely += 0.0 if one.alike else along
             logs.append(math.log(one.beforehand) + likely)
             found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
@@ -332,9 +342,14 @@ class SoilMemory:
         return np.where(stiffness, np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2, 0.0)
 
     @property
-    def log_likelihoods(self) -> Array:
-        """Of what was told, by each hypothesis, (v,)."""
-        return np.array([one.score - math.log(one.soil.beforehand) for one in self._scored])
+    def for_patches(self) -> tuple[float, float]:
+        """Logarithms of the likelihoods of what was told by patches, and by one soil."""
+        patches, alike = (
+            logsumexp([one.score for one in self._scored if one.soil.alike is same])
+            - math.log(sum(one.beforehand for one in self.variograms if one.alike is same))
+            for same in (False, True)
+        )
+        return float(patches), float(alike)
 
     @property
     def _hypotheses(self) -> list[_Hypothesis]:
@@ -355,7 +370,7 @@ class SoilMemory:
     @property
     def patchy(self) -> float:
         """Probability that soil differs by more than the least of the sds."""
-        return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.sd == min(SOIL_FIELD.sds))
+        return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.alike)
 
     def at(self, place: Array) -> At:
         """At a place of the rig, or on average over a path: north and east of each axle, (..., 3, 2), m."""
@@ -394,7 +409,7 @@ class SoilMemory:
         """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what
         is learned without place has this error besides. Of the stiffnesses."""
         there, near = self.at(place), self._near(place)
-        same = (one for one in self._scored if one.soil.sd == min(SOIL_FIELD.sds))
+        same = (one for one in self._scored if one.soil.alike)
         one = max(same, key=lambda hypothesis: hypothesis.score)
         cross, own = self._with(near, one.soil)
         off = there.mean - cross.T @ one.alpha

@@ -2,12 +2,11 @@
 
 The fit has one value of each of the six for the whole way. Where the soil was otherwise in a piece of it, the
 innovations there, along the slopes by the six, ask for other values than those elsewhere (the score test for
-parameters that vary: Nyblom 1989). How likely that is by each hypothesis of how soil differs is known after
-the first window, when nothing can be compared with it yet. Told are the values of the pieces beside each
+parameters that vary: Nyblom 1989). So whether this is a field in patches is told by the first window, when
+nothing can be compared with it yet. Told are the values of the pieces beside each
 other: where all of them are together is told by the window as a whole.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from tilth.estimator.filters.likelihood import Iterate, Search
-from tilth.estimator.filters.soil_field import SOIL_FIELD, VARIOGRAMS, SoilMemory, SoilWindow, Told
+from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow, Told
 from tilth.estimator.filters.states import DT
 from tilth.estimator.record.record import PSI, TICK, Record, U
 from tilth.estimator.tuning import tuned
@@ -33,15 +32,9 @@ class SoilWithinTuning:
     )
     """What the ground does over seconds is more, or less, than its model has: of a chirp over 2 cm the pieces
     scattered three times as far, which is not as soil differs."""
-    zones: float = tuned(
-        0.1, "1", "probability that one window lies in one zone of a field that differs from zone to zone"
-    )
-    """Patches go on everywhere; a wet end does not. So one window alone never makes one soil ten times as
-    likely beside them."""
 
 
 SOIL_WITHIN: Final = SoilWithinTuning()
-_ALIKE: Final = np.array([one.sd == min(SOIL_FIELD.sds) for one in VARIOGRAMS])
 
 
 class Pieces(NamedTuple):
@@ -80,17 +73,14 @@ def _way(record: Record, geometry: Array) -> Array:
     return np.stack([cg + a * ahead, cg - b * ahead, cg - c * ahead - (d + e) * behind], axis=1)
 
 
-def likelihoods(pieces: Pieces, wider: Array, prior_sd: Array) -> Array:
-    """Logarithm of the likelihood of what the pieces tell beside each other by each of VARIOGRAMS, the
-    largest 0, (v,), whatever the noise, and though all may lie in one zone. wider: factors on the sds of the
-    six by noise, (6,). prior_sd: of the machine file, (n,)."""
+def for_patches(pieces: Pieces, wider: Array, prior_sd: Array) -> float:
+    """Nats by which patches explain what the pieces tell beside each other better than one soil, whatever the
+    noise. wider: factors on the sds of the six by noise, (6,). prior_sd: of the machine file, (n,)."""
     by_noise = [
-        SoilMemory(_windows(pieces, factor * wider), prior_sd).log_likelihoods for factor in SOIL_WITHIN.noise
+        SoilMemory(_windows(pieces, factor * wider), prior_sd).for_patches for factor in SOIL_WITHIN.noise
     ]
-    found = np.asarray(logsumexp(by_noise, axis=0), np.float64)
-    in_one_zone = logsumexp(found[_ALIKE]) - math.log(np.sum(_ALIKE))
-    found = np.logaddexp(found + math.log1p(-SOIL_WITHIN.zones), in_one_zone + math.log(SOIL_WITHIN.zones))
-    return np.asarray(found - found.max(), np.float64)
+    patches, alike = logsumexp(by_noise, axis=0)
+    return float(patches - alike)
 
 
 def _windows(pieces: Pieces, wider: Array) -> list[SoilWindow]:
