@@ -183,7 +183,17 @@ class At(NamedTuple):
 
 def exponential(apart: Array, length_m: float) -> Array:
     """Correlation of the stiffnesses' means over paths, (3 n, 3 m). apart: as of `_apart`."""
-    near = over_paths(np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
+    return _of_axles(apart, np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
+
+
+def smooth(apart: Array, length_m: float) -> Array:
+    """The same of soil that does not change over a few metres."""
+    return _of_axles(apart, np.exp((apart[0] * apart[0] + apart[1] * apart[1]) / -(length_m**2)))
+
+
+def _of_axles(apart: Array, alike: Array) -> Array:
+    """By the correlation of places, with what axles have in common."""
+    near = over_paths(alike)
     of_axles = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
     return np.asarray(near * np.tile(of_axles, (apart.shape[1], apart.shape[4])))
 

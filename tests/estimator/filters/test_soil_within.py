@@ -13,7 +13,7 @@ from tilth.estimator.filters.soil_within import Pieces, SoilWithinTuning, for_pa
 Array = NDArray[np.float64]
 PRIOR_SD = np.full(6, 0.5)
 COUNT = 10
-PIECE_SD = np.array([0.1, 0.1, 0.2, 0.4, 0.4, 0.5])
+PIECE_SD = np.array([0.05, 0.05, 0.1, 0.4, 0.4, 0.5])  # as of random steering
 NO_WIDER = np.ones(6)
 
 
