@@ -19,7 +19,7 @@ from typing import Annotated, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
-from scipy.special import chdtrc, logsumexp
+from scipy.special import chdtrc
 
 from tilth.estimator.filters.unknowns import NOISE, SIX
 from tilth.estimator.state_json import Shape
@@ -355,11 +355,11 @@ class SoilMemory:
     def for_patches(self) -> tuple[float, float]:
         """Logarithms of the likelihoods of what was told by patches, and by one soil."""
         patches, alike = (
-            logsumexp([one.score for one in self._scored if one.soil.alike is same])
+            float(np.logaddexp.reduce([one.score for one in self._scored if one.soil.alike is same]))
             - math.log(sum(one.beforehand for one in self.variograms if one.alike is same))
             for same in (False, True)
         )
-        return float(patches), float(alike)
+        return patches, alike
 
     @property
     def _hypotheses(self) -> list[_Hypothesis]:

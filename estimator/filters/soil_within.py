@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from tilth.estimator.filters.likelihood import Iterate, Search
 from tilth.estimator.filters.soil_field import SOIL_FIELD, VARIOGRAMS, SoilMemory, SoilWindow, Told, smooth
@@ -84,7 +83,7 @@ def for_patches(pieces: Pieces, wider: Array, prior_sd: Array) -> float:
         SoilMemory(_windows(pieces, factor * wider), prior_sd, _SMOOTH).for_patches
         for factor in SOIL_WITHIN.noise
     ]
-    patches, alike = logsumexp(by_noise, axis=0)
+    patches, alike = np.logaddexp.reduce(by_noise, axis=0).tolist()
     found = float(patches - alike)
     return found if found > 0.0 else min(found + SOIL_WITHIN.margin, 0.0)
 
