@@ -31,9 +31,9 @@ class SoilWithinTuning:
     )
     """What the ground does over seconds is more, or less, than its model has: of a chirp over 2 cm the pieces
     scattered three times as far, which is not as soil differs."""
-    margin: float = tuned(1.0, "nat", "by which a window must tell more of one soil before it counts")
-    """Ten headland turns in patches of 26 % over 48 m told 0.5 nats for one soil each: places of a turn are
-    within a dozen metres of each other, and soil is smoother there than any hypothesis."""
+    extent_m: float = tuned(60.0, "m", "between two places of a way, from which on it tells of patches")
+    """Places of a headland turn are within some 30 m of each other, where soil is smoother than by any
+    hypothesis: ten turns in patches of 26 % over 48 m told 0.5 nats for one soil each."""
 
 
 SOIL_WITHIN: Final = SoilWithinTuning()
@@ -78,14 +78,17 @@ def _way(record: Record, geometry: Array) -> Array:
 
 def for_patches(pieces: Pieces, wider: Array, prior_sd: Array) -> float:
     """Nats by which patches explain what the pieces tell beside each other better than one soil, whatever the
-    noise. wider: factors on the sds of the six by noise, (6,). prior_sd: of the machine file, (n,)."""
+    noise; 0 for a short way. wider: factors on the sds of the six by noise, (6,). prior_sd: of the machine
+    file, (n,)."""
+    middles = pieces.ways.mean(axis=(1, 2))
+    if np.linalg.norm(middles[:, None] - middles, axis=-1).max() < SOIL_WITHIN.extent_m:
+        return 0.0
     by_noise = [
         SoilMemory(_windows(pieces, factor * wider), prior_sd, _SMOOTH).for_patches
         for factor in SOIL_WITHIN.noise
     ]
     patches, alike = np.logaddexp.reduce(by_noise, axis=0).tolist()
-    found = float(patches - alike)
-    return found if found > 0.0 else min(found + SOIL_WITHIN.margin, 0.0)
+    return float(patches - alike)
 
 
 def _windows(pieces: Pieces, wider: Array) -> list[SoilWindow]:

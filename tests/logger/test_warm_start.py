@@ -205,7 +205,7 @@ def test_the_file_gives_back_to_the_bit_what_was_written(tmp_path: Path) -> None
     assert [p.name for p in tmp_path.iterdir()] == [f"{MACHINE.name}.warm.json"]
     found = warm_start_file.read(path, MACHINE, NOW + 7 * SECOND)
     assert found is not None
-    retained, elapsed_s, _, _, _ = found
+    retained, elapsed_s, *_ = found
     assert elapsed_s == 7.0
     for method, wanted in save_learned(taught(), NOW).items():
         assert retained[method].mean.tobytes() == wanted.mean.tobytes()

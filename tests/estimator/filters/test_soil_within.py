@@ -67,13 +67,19 @@ def test_noise_that_is_larger_than_thought_is_no_soil(monkeypatch: pytest.Monkey
     assert told() > 0.85
 
 
+def test_a_headland_turn_tells_nothing_of_patches() -> None:
+    """Its places are so near each other that soil is alike there in most fields."""
+    made = pieces(by_chance(0))
+    assert for_patches(made._replace(ways=0.3 * made.ways), NO_WIDER, PRIOR_SD) == 0.0
+
+
 def test_ways_alone_never_prove_one_soil() -> None:
     """Each may lie in one zone of a field that differs from zone to zone."""
     assert patchy(-1e3) == pytest.approx(1.0 / 11.0) and patchy(1e3) == pytest.approx(10.0 / 11.0)
 
 
 def test_a_window_that_tells_little_leaves_it_open() -> None:
-    told = for_patches(pieces(by_chance(0) * 10.0, 10.0 * PIECE_SD), NO_WIDER, PRIOR_SD)
+    told = for_patches(pieces(by_chance(0) * 30.0, 30.0 * PIECE_SD), NO_WIDER, PRIOR_SD)
     assert patchy(told) == pytest.approx(0.5, abs=0.05)
 
 
