@@ -172,7 +172,7 @@ class KeptSoil:
 
     @property
     def finite(self) -> bool:
-        def numbers(w: SoilWindow) -> tuple[Array, ...]:
+        def numbers(w: SoilWindow) -> tuple[Array | float, ...]:
             told = w.told
             return w.path, told.information, told.vector, told.model_sd, told.patches, w.worked
 
@@ -377,7 +377,8 @@ class SoilMemory:
     def _ages(self) -> tuple[Array, Array]:
         """Of each window: when it began, s, and the number of the changes in time before it."""
         begin_ns = np.array([window.begin_ns for window in self.windows], np.int64)
-        return begin_ns * 1e-9, np.array([window.epoch for window in self.windows], np.float64)
+        epochs = np.array([window.epoch for window in self.windows], np.float64)
+        return np.asarray(begin_ns * 1e-9, np.float64), epochs
 
     def _alike(self, at_s: Array, epochs: Array) -> tuple[Array, Array]:
         """Correlation with the level in each window by age, and by both age and changes, (windows, …)."""
