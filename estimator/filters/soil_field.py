@@ -55,11 +55,16 @@ class SoilFieldTuning:
     )
     telling: float = tuned(0.02, "1", "information over the prior's, of a direction that is used")
     likely: float = tuned(1e-3, "1", "likelihood over the largest: of a hypothesis that is not left out")
+    along: float = tuned(
+        math.log(10.0), "nat", "that the ways of windows tell of patches at most, or against them"
+    )
+    """Patches go on everywhere, a wet end does not: all windows may lie in zones of one soil each. While it
+    was counted in full, and for which patches, 82 86 92 % of intervals held in rows of two fields with wet
+    ends, where without it 89 92 95 did."""
     points: int = tuned(6, "positions", "of a path")
 
 
 SOIL_FIELD: Final = SoilFieldTuning()
-_KINDS: Final = len(SOIL_FIELD.sds) * len(SOIL_FIELD.lengths_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +74,7 @@ class Told:
     information: Annotated[Array, Shape((6, 6))]
     vector: Annotated[Array, Shape((6,))]  # information @ (what it says alone, less the prior's mean)
     model_sd: Annotated[Array, Shape((6,))]  # of errors of the model, in common with others of its method
-    within: Annotated[Array, Shape((_KINDS,))] = field(default_factory=lambda: np.zeros(_KINDS))
-    """Logarithm of the likelihood of how soil differed along its way, by each of VARIOGRAMS."""
+    patches: float = 0.0  # nats by which patches explain what differs along its way better than one soil
 
 
 def told(
@@ -144,7 +148,7 @@ def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
         one.told.information + other.told.information,
         one.told.vector + other.told.vector,
         np.maximum(one.told.model_sd, other.told.model_sd),
-        one.told.within + other.told.within,
+        one.told.patches + other.told.patches,
     )
     latest = max(one, other, key=lambda window: window.begin_ns)
     return replace(latest, told=told, worked=(one.worked + other.worked) / 2.0)
@@ -168,9 +172,9 @@ class KeptSoil:
 
     @property
     def finite(self) -> bool:
-        def numbers(w: SoilWindow) -> tuple[Array, ...]:
+        def numbers(w: SoilWindow) -> tuple[Array | float, ...]:
             told = w.told
-            return w.path, told.information, told.vector, told.model_sd, told.within, w.worked
+            return w.path, told.information, told.vector, told.model_sd, told.patches, w.worked
 
         return all(np.all(np.isfinite(part)) for w in self.windows for part in numbers(w)) and all(
             np.all(np.isfinite(point.place)) for point in self.way
@@ -199,8 +203,17 @@ _OF_AXLES: Final = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIEL
 
 def exponential(apart: Array, length_m: float) -> Array:
     """Correlation of the stiffnesses' means over paths, (3 n, 3 m). apart: as of `_apart`."""
-    near = over_paths(np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
-    return np.asarray(near * np.tile(_OF_AXLES, (apart.shape[1], apart.shape[4])))
+    return _over_axles(apart, np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
+
+
+def smooth(apart: Array, length_m: float) -> Array:
+    """The same of soil that does not change over a few metres."""
+    return _over_axles(apart, np.exp((apart[0] * apart[0] + apart[1] * apart[1]) / -(length_m**2)))
+
+
+def _over_axles(apart: Array, alike: Array) -> Array:
+    """By the correlation of places, with what axles have in common."""
+    return np.asarray(over_paths(alike) * np.tile(_OF_AXLES, (apart.shape[1], apart.shape[4])))
 
 
 def over_paths(each: Array) -> Array:
@@ -231,6 +244,11 @@ class Variogram(NamedTuple):
     length_m: float
     correlation: Callable[[Array, float], Array] = exponential
     beforehand: float = 1.0  # how probable it is before any window, over that of another
+
+    @property
+    def alike(self) -> bool:
+        """Whether it is one soil."""
+        return self.sd == min(SOIL_FIELD.sds)
 
     @property
     def kind(self) -> tuple[float, Callable[[Array, float], Array]]:
@@ -327,15 +345,16 @@ class SoilMemory:
             key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
             for key, one in self._kinds.items()
         }
-        along = np.zeros(len(self.variograms))
-        if self.variograms is VARIOGRAMS:
-            along += sum(window.told.within for window in self.windows)
+        # Only whether there are patches: which ones, windows tell that are apart. Nor may it grow for ever.
+        along = sum(window.told.patches for window in self.windows)
+        along = min(max(along, -SOIL_FIELD.along), SOIL_FIELD.along)
         found, logs = [], []
-        for one, likely in zip(self.variograms, along.tolist(), strict=True):
+        for one in self.variograms:
             root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            likely -= 0.5 * distance + float(np.sum(np.log(np.diag(root))))
+            likely = -0.5 * distance - float(np.sum(np.log(np.diag(root))))
+            likely += 0.0 if one.alike else along
             logs.append(math.log(one.beforehand) + likely)
             found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
@@ -375,9 +394,14 @@ class SoilMemory:
         return np.where(stiffness, 0.0, variance), np.where(stiffness, variance, 0.0)
 
     @property
-    def log_likelihoods(self) -> Array:
-        """Of what was told, by each hypothesis, (v,)."""
-        return np.array([one.score - math.log(one.soil.beforehand) for one in self._scored])
+    def for_patches(self) -> tuple[float, float]:
+        """Logarithms of the likelihoods of what was told by patches, and by one soil."""
+        patches, alike = (
+            float(np.logaddexp.reduce([one.score for one in self._scored if one.soil.alike is same]))
+            - math.log(sum(one.beforehand for one in self.variograms if one.alike is same))
+            for same in (False, True)
+        )
+        return patches, alike
 
     @property
     def _hypotheses(self) -> list[_Hypothesis]:
@@ -398,7 +422,7 @@ class SoilMemory:
     @property
     def patchy(self) -> float:
         """Probability that soil differs by more than the least of the sds."""
-        return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.sd == min(SOIL_FIELD.sds))
+        return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.alike)
 
     def at(self, place: Array, asked: AskedGround = LAST) -> At:
         """At a place of the rig, or on average over a path: north and east of each axle, (..., 3, 2), m."""
@@ -437,7 +461,7 @@ class SoilMemory:
         """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what
         is learned without place has this error besides. Of the stiffnesses."""
         there, near = self.at(place, asked), self._near(place)
-        same = (one for one in self._scored if one.soil.sd == min(SOIL_FIELD.sds))
+        same = (one for one in self._scored if one.soil.alike)
         one = max(same, key=lambda hypothesis: hypothesis.score)
         cross, own = self._with(near, one.soil)
         off = there.mean - cross.T @ one.alpha

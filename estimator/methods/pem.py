@@ -25,7 +25,7 @@ from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import SOIL_CHANGE
 from tilth.estimator.filters.soil_field import Told, told
-from tilth.estimator.filters.soil_within import likelihoods
+from tilth.estimator.filters.soil_within import for_patches
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.methods import fitted
 from tilth.estimator.methods.fitted import FittedState
@@ -240,9 +240,9 @@ def _told(
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
     whole = told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
-    return whole if found.pieces is None else replace(
-        whole, within=likelihoods(found.pieces, wider, prior[1])
-    )  # fmt: skip
+    if found.pieces is None:
+        return whole
+    return replace(whole, patches=for_patches(found.pieces, wider, prior[1]))
 
 
 def _posterior(

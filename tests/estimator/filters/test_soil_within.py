@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import soil_within
-from tilth.estimator.filters.soil_field import SOIL_FIELD, VARIOGRAMS, SoilMemory, SoilWindow, Told
-from tilth.estimator.filters.soil_within import SOIL_WITHIN, Pieces, SoilWithinTuning, likelihoods
+from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow, Told
+from tilth.estimator.filters.soil_within import Pieces, SoilWithinTuning, for_patches
 
 Array = NDArray[np.float64]
 PRIOR_SD = np.full(6, 0.5)
 COUNT = 10
-PIECE_SD = np.array([0.1, 0.1, 0.2, 0.4, 0.4, 0.5])
+PIECE_SD = np.array([0.05, 0.05, 0.1, 0.4, 0.4, 0.5])  # as of random steering
 NO_WIDER = np.ones(6)
 
 
@@ -28,9 +28,9 @@ def pieces(logs: Array, piece_sd: Array = PIECE_SD) -> Pieces:
     return Pieces(np.einsum("pij,pj->pi", information, logs), information, ways)
 
 
-def patchy(within: Array) -> float:
+def patchy(patches: float) -> float:
     """Probability that soil differs by more than the least of the sds, after this window alone."""
-    told = Told(np.zeros((6, 6)), np.zeros(6), np.zeros(6), within)
+    told = Told(np.zeros((6, 6)), np.zeros(6), np.zeros(6), patches)
     path = np.zeros((SOIL_FIELD.points, 3, 2))
     return SoilMemory([SoilWindow("pem", 0, 0, path, told)], PRIOR_SD).patchy
 
@@ -42,20 +42,17 @@ def by_chance(seed: int, scatter: float = 1.0) -> Array:
 @pytest.mark.parametrize("seed", range(5))
 def test_one_window_on_one_soil_tells_that_it_is_one(seed: int) -> None:
     """Before, nothing was known of it until there was a second window."""
-    told = likelihoods(pieces(by_chance(seed)), NO_WIDER, PRIOR_SD)
-    assert patchy(np.zeros(len(VARIOGRAMS))) == pytest.approx(0.5)
+    told = for_patches(pieces(by_chance(seed)), NO_WIDER, PRIOR_SD)
+    assert patchy(0.0) == pytest.approx(0.5)
     assert patchy(told) < 0.25
-    # It may lie in one zone of a field that differs from zone to zone.
-    assert told.min() > math.log(SOIL_WITHIN.zones / 3.0)
-    assert told.max() == 0.0 and told.shape == (len(VARIOGRAMS),)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_one_window_over_patches_tells_of_patches(seed: int) -> None:
     softer = np.zeros((COUNT, 6))
     softer[:, :3] = 0.4 * np.sin(2.0 * math.pi * (np.arange(COUNT) / 5.0 + 0.1 * seed))[:, None]
-    told = likelihoods(pieces(by_chance(seed) + softer), NO_WIDER, PRIOR_SD)
-    assert patchy(told) > 0.95
+    told = for_patches(pieces(by_chance(seed) + softer), NO_WIDER, PRIOR_SD)
+    assert patchy(told) > 0.85
 
 
 def test_noise_that_is_larger_than_thought_is_no_soil(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,26 +60,37 @@ def test_noise_that_is_larger_than_thought_is_no_soil(monkeypatch: pytest.Monkey
 
     def told() -> float:
         drawn = (pieces(by_chance(seed, 2.5)) for seed in range(10))
-        return float(np.mean([patchy(likelihoods(each, NO_WIDER, PRIOR_SD)) for each in drawn]))
+        return float(np.mean([patchy(for_patches(each, NO_WIDER, PRIOR_SD)) for each in drawn]))
 
     assert told() < 0.6
     monkeypatch.setattr(soil_within, "SOIL_WITHIN", SoilWithinTuning(noise=(1.0,)))
-    assert told() > 0.95
+    assert told() > 0.85
+
+
+def test_a_headland_turn_tells_nothing_of_patches() -> None:
+    """Its places are so near each other that soil is alike there in most fields."""
+    made = pieces(by_chance(0))
+    assert for_patches(made._replace(ways=0.3 * made.ways), NO_WIDER, PRIOR_SD) == 0.0
+
+
+def test_ways_alone_never_prove_one_soil() -> None:
+    """Each may lie in one zone of a field that differs from zone to zone."""
+    assert patchy(-1e3) == pytest.approx(1.0 / 11.0) and patchy(1e3) == pytest.approx(10.0 / 11.0)
 
 
 def test_a_window_that_tells_little_leaves_it_open() -> None:
-    told = likelihoods(pieces(by_chance(0) * 10.0, 10.0 * PIECE_SD), NO_WIDER, PRIOR_SD)
+    told = for_patches(pieces(by_chance(0) * 30.0, 30.0 * PIECE_SD), NO_WIDER, PRIOR_SD)
     assert patchy(told) == pytest.approx(0.5, abs=0.05)
 
 
 def test_where_all_pieces_are_together_is_told_by_the_window_as_a_whole() -> None:
     logs = by_chance(1)
-    one, other = (likelihoods(pieces(logs + shift), NO_WIDER, PRIOR_SD) for shift in (0.0, 0.1))
+    one, other = (for_patches(pieces(logs + shift), NO_WIDER, PRIOR_SD) for shift in (0.0, 0.1))
     assert one == pytest.approx(other, abs=0.3)
 
 
 def test_a_way_may_lie_anywhere_and_head_anywhere() -> None:
     made, turn = pieces(by_chance(2)), np.array([[0.6, 0.8], [-0.8, 0.6]])
     moved = made._replace(ways=made.ways @ turn + 40.0)
-    one, other = (likelihoods(each, NO_WIDER, PRIOR_SD) for each in (made, moved))
+    one, other = (for_patches(each, NO_WIDER, PRIOR_SD) for each in (made, moved))
     assert one == pytest.approx(other, abs=0.3)  # but for what turns with the heading
