@@ -41,6 +41,7 @@ from tilth.logger import compiling
 from tilth.logger.daemon import Daemon, run_daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.run_summary import RunSummary
+from tilth.logger.zenoh.sink import SIMULATED_SUFFIX
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile, parse_machine
@@ -132,6 +133,8 @@ class Child:
 
 
 def quantiles(values: Any, unit: str) -> str:
+    if len(values) == 0:
+        return "nothing to measure"
     p50, p99 = np.percentile(values, [50, 99])
     return f"mean {np.mean(values):.1f}, p50 {p50:.1f}, p99 {p99:.1f}, worst {np.max(values):.1f} {unit}"
 
@@ -178,7 +181,8 @@ def latency(seconds: float) -> None:
     machine, text = rig(ports)
     child = Child(send, ports, 0, None, seconds)
     child.ready()
-    listener = Child(subscribe, machine.zenoh.listen, f"{machine.zenoh.prefix}/{machine.name}/pose")
+    key = f"{machine.zenoh.prefix}/{machine.name}/{SIMULATED_SUFFIX}/pose"  # of a simulation, as this is
+    listener = Child(subscribe, machine.zenoh.listen, key)
     with tempfile.TemporaryDirectory() as folder:
         cpu = cpu_s()
         summary, sent, took_s = _until_sent(machine, text, Path(folder), child, listener)
