@@ -251,6 +251,8 @@ class SoilMemory:
         self.windows, self.prior_sd, self.variograms = windows, prior_sd[SIX], variograms
         paths = np.array([window.path for window in windows]).reshape(-1, SOIL_FIELD.points, AXLES, 2)
         self._places = paths.transpose(0, 2, 1, 3)  # (windows, 3, points, 2)
+        self._near_last: tuple[bytes, _Near] | None = None  # of the place that was last asked for: several do
+        self._at_last: tuple[bytes, At] | None = None
 
     @cached_property
     def _directions(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
@@ -345,6 +347,9 @@ class SoilMemory:
 
     def at(self, place: Array) -> At:
         """At a place of the rig, or on average over a path: north and east of each axle, (..., 3, 2), m."""
+        known = self._at_last
+        if known is not None and known[0] == place.tobytes():
+            return known[1]
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
         near = self._near(place)
         for one in self._hypotheses:
@@ -354,7 +359,9 @@ class SoilMemory:
             second += one.weight * (own - cross.T @ one.solve(cross) + np.outer(there, there))
             length += one.weight * one.soil.length_m
         covariance = second - np.outer(mean, mean)
-        return At(mean, (covariance + covariance.T) / 2.0, length)
+        found = At(mean, (covariance + covariance.T) / 2.0, length)
+        self._at_last = place.tobytes(), found
+        return found
 
     def around(self, places: Array) -> tuple[Array, Array]:
         """Of the stiffnesses' logarithms less the prior's mean, of an axle at each of these places, whatever
@@ -390,14 +397,19 @@ class SoilMemory:
         left[:AXLES, :AXLES] = axes * np.maximum(sizes, 0.0) @ axes.T
         return left
 
-    def _near(self, place: Array) -> "_Near":
+    def _near(self, place: Array) -> _Near:
+        known = self._near_last
+        if known is not None and known[0] == place.tobytes():
+            return known[1]
         there = place.reshape(1, -1, AXLES, 2).transpose(0, 2, 1, 3)
         apart, own = _apart(self._places, there), _apart(there, there)
         kinds = {
             key: (self._placed @ one.correlation(apart, one.length_m), one.correlation(own, one.length_m))
             for key, one in self._kinds.items()
         }
-        return _Near(kinds, np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64))
+        found = _Near(kinds, np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64))
+        self._near_last = place.tobytes(), found
+        return found
 
     def _with(self, near: "_Near", soil: Variogram) -> tuple[Array, Array]:
         """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
