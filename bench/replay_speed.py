@@ -1,16 +1,19 @@
 """How fast logs are replayed, beside what one would write with the libraries alone.
 
-    python bench/replay_speed.py [--seconds 120] [--own] [--rounds 3]
+    python bench/replay_speed.py [--seconds 120] [--own] [--rounds 3] [--since COMMIT]
 
 A log of the demo's traffic (800 frames/s: four receivers, wheel angle, and as many frames again that nobody
 wants; with --own only the rig's) is recorded with its results, as the daemon does it, and read back in
 several ways. All ways run in turn; the best round of each counts. Times are of the processor, of all threads
 and processes: other programs that run beside it make them up to twice as long. Kernels are compiled before.
-An hour: --seconds 3600 --own --rounds 1.
+An hour: --seconds 3600 --own --rounds 1. With --since only replays and fits, by the code of a commit and by
+that of here in turn, each with its own log, and the ratio.
 """
 
 import argparse
+import json
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -19,6 +22,7 @@ import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from importlib import resources
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +69,16 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0, help="of simulated driving")
     parser.add_argument("--own", action="store_true", help="the rig's own frames only")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--since", help="a commit to compare with")
+    parser.add_argument("--told", action="store_true", help="only what --since asks for, as JSON")
     args = parser.parse_args()
     seconds = args.seconds
+    if args.since:
+        since(args.since, seconds, args.rounds)
+        return
+    if args.told:
+        print(json.dumps(short(seconds)))
+        return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "demo.mcap"
         machine, text, rows = logged_drive(path, seconds, args.own)
@@ -76,6 +88,44 @@ def main() -> None:
         times = measure(ways(path, machine, text, rows, Path(folder)), args.rounds)
         report(times, len(rows), per_s)
         of_a_fit(machine, rows)
+
+
+def since(commit: str, seconds: float, rounds: int) -> None:
+    """Seconds of the processor by the code of a commit and by that of here, each the least of the rounds."""
+    here = Path(__file__).resolve().parents[1]
+    with tempfile.TemporaryDirectory() as folder:
+        old = Path(folder) / "tilth"
+        old.mkdir()
+        packed = subprocess.run(["git", "-C", here, "archive", commit], check=True, capture_output=True)
+        subprocess.run(["tar", "-x", "-C", old], input=packed.stdout, check=True)
+        shutil.copytree(here / "estimator/kernels", old / "estimator/kernels", dirs_exist_ok=True)
+        times: list[dict[str, float]] = [{}, {}]
+        command = [sys.executable, str(Path(__file__)), "--told", f"--seconds={seconds}"]
+        for _, which in product(range(rounds), (0, 1)):
+            env = os.environ | ({"PYTHONPATH": folder} if which == 0 else {})
+            told = subprocess.run(command, check=True, capture_output=True, env=env, text=True)
+            for name, took in json.loads(told.stdout).items():
+                times[which][name] = min(took, times[which].get(name, took))
+    print(f"{'seconds of the processor':50} {commit[:9]:>9} {'here':>9} {'ratio':>6}")
+    for name, took in times[0].items():
+        print(f"{name:50} {took:9.3f} {times[1][name]:9.3f} {took / times[1][name]:6.2f}")
+
+
+def short(seconds: float) -> dict[str, float]:
+    """What `since` compares, by the code that runs."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, alone = Path(folder) / "demo.mcap", Path(folder) / "alone.mcap"
+        machine, text, rows = logged_drive(path, seconds)
+        frames_alone(alone, machine, text, rows)
+        found = {
+            name: cpu_seconds(partial(replay, [log], MachineFile(machine, text)))
+            for name, log in (("replay", path), ("replay of frames alone, fits made", alone))
+        }
+        jobs = jobs_of(machine, rows)
+    for number, job in enumerate(jobs, start=1):
+        took = cpu_seconds(partial(make, machine, pem.METHOD, job))
+        found[f"fit {number}, of {len(job.record.ticks) * DT:.0f} s"] = took
+    return found
 
 
 def logged_drive(path: Path, seconds: float, own: bool = False) -> tuple[Machine, str, list[Frame]]:
@@ -160,8 +210,8 @@ def frames_alone(path: Path, machine: Machine, text: str, rows: list[Frame]) -> 
     writer.close()
 
 
-def of_a_fit(machine: Machine, rows: list[Frame]) -> None:
-    """Computing time of each fit of the drive, beside one run of its filter without any derivative."""
+def jobs_of(machine: Machine, rows: list[Frame]) -> list[pem.Job]:
+    """The fits that a drive asks for, with none of them made."""
     jobs: list[pem.Job] = []
 
     class Kept(NoFits):
@@ -172,8 +222,13 @@ def of_a_fit(machine: Machine, rows: list[Frame]) -> None:
     fold = GuardedFold(machine, fitter=Kept(machine))
     for frame in rows:
         fold.take(frame)
+    return jobs
+
+
+def of_a_fit(machine: Machine, rows: list[Frame]) -> None:
+    """Computing time of each fit of the drive, beside one run of its filter without any derivative."""
     setup = rig_setup(machine)
-    for job in jobs:
+    for job in jobs_of(machine, rows):
         search = search_of(job.record, setup, job.mean, job.covariance)
         run, fit = (
             cpu_seconds(way)

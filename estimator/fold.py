@@ -4,7 +4,7 @@ Nothing here may depend on whether it runs live: the result is a function of the
 frames in their order.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.pose.pose import poses
 from tilth.estimator.pose.recognition import Recognition
+from tilth.estimator.pose.usual_frames import usual
 from tilth.estimator.record import record_builder
 from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.method_state import SixState, take_events
@@ -182,12 +183,26 @@ def estimate_at(state: State, x: float, y: float) -> Estimate:
     return diagnosis.withheld(state.diagnosis, _now(state, made))
 
 
+def usual_frames(
+    state: State, frames: Sequence[Frame], first: int, before_ns: int | None
+) -> Iterator[tuple[int, bool]]:
+    """As `step`, of frames that come as usual, up to the next pose: gives (index, True) of each that `use` is
+    to take next, and (index, False) of the one that `step` is to take, which ends it. before_ns: a t_ns that
+    does so."""
+    book, due_ns = state.decoder.addresses, state.aligner.due_ns
+    if state.recognition.before or (book.unplaced and state.recognition.heard):
+        return iter([(first, False)])
+    deadline_ns = due_ns + aligner.ALIGNMENT.deadline_ns if due_ns else None
+    late, routes = state.aligner.lateness, state.decoder.routes
+    return usual(state.time, frames, first, late, routes, before_ns, deadline_ns)
+
+
 def step(state: State, frame: Frame) -> list[Publication]:
     """Take one frame: change the state in place and return the publications, in order."""
     out: list[Publication] = []
     state.segments.clear()
     state.frames += 1
-    time, book = state.time, state.decoder.addresses
+    time = state.time
     jump_ns = log_time.take_stamp(time, frame)
     if time.offset_ns:
         frame = log_time.on_log_clock(time, frame)
@@ -203,6 +218,14 @@ def step(state: State, frame: Frame) -> list[Publication]:
         silence = notice(NoticeCode.SILENCE, silence_s=jump_ns * 1e-9)
         out.append(Publication(frame.t_ns, "/event", Event(frame.t_ns, EventKind.GAP, silence)))
     lateness.take_frame(state.aligner.lateness, state.machine, frame)
+    return [*out, *use(state, frame)] if out else use(state, frame)
+
+
+def use(state: State, frame: Frame) -> list[Publication]:
+    """What `step` does with a frame when its stamp was taken."""
+    out: list[Publication] = []
+    state.segments.clear()
+    book = state.decoder.addresses
     now_ns = frame.rx_ns if frame.rx_ns < frame.t_ns else frame.t_ns  # not received after the loop took it
     if state.recognition.before:
         _recall_addresses(state, frame, out)

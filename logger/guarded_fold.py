@@ -30,7 +30,9 @@ from tilth.estimator.fold import (
     resume,
     save_learned,
     step,
+    use,
     use_map,
+    usual_frames,
 )
 from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
@@ -224,17 +226,50 @@ class GuardedFold:
         held = {(known.bus, known.source) for known in now}
         return now + [k for k in self.state.recognition.before if (k.bus, k.source) not in held]
 
+    def take_all(self, frames: Sequence[Frame]) -> list[tuple[Publication, bytes]]:
+        """As `take` of one after the other; the stamps of those that come as usual in one go."""
+        out: list[tuple[Publication, bytes]] = []
+        k = 0
+        while k < len(frames):
+            if self._decided or frames[k].t_ns < self._resume_ns:
+                out += self.take(frames[k])
+                k += 1
+            else:
+                k = self._take_usual(frames, k, out)
+        return out
+
+    def _take_usual(self, frames: Sequence[Frame], first: int, out: list[tuple[Publication, bytes]]) -> int:
+        """Take frames from the first on up to a pose, or to one that does not come as usual; the index of the
+        one after it."""
+        state, poses, rig = self.state, self.state.poses, self.state.machine
+        for k, stamped in usual_frames(state, frames, first, self._due_ns):
+            if not stamped:
+                state.frames += k - first
+                out += self.take(frames[k])
+                return k + 1
+            out += self._taken(frames[k], use)
+            if self.state is not state or state.poses != poses or state.machine is not rig:
+                state.frames += k + 1 - first
+                return k + 1
+        state.frames += len(frames) - first
+        return len(frames)
+
     def take(self, frame: Frame) -> list[tuple[Publication, bytes]]:
         """The publications that a frame causes, each with its bytes as logged and published."""
         resume_ns = self._resume_ns
         if frame.t_ns < resume_ns and frame.t_ns >= resume_ns - PAUSE_NS:  # not of a clock that stepped back
             return []
+        return self._taken(frame, step)
+
+    def _taken(
+        self, frame: Frame, take: Callable[[State, Frame], list[Publication]]
+    ) -> list[tuple[Publication, bytes]]:
         try:
             publications = []
             if self._decided and log_time.continues(self.state.time, frame):
                 publications = self._adopt(log_time.on_log_clock(self.state.time, frame).t_ns)
             poses = self.state.poses
-            publications += step(self.state, frame)
+            publications += take(self.state, frame)
             if self.state.machine is not self._rig:  # a scale has told of another load
                 self._use_rig()
                 self._decided.clear()

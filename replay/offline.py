@@ -12,6 +12,7 @@ from pathlib import Path
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
+from tilth.estimator.pose.usual_frames import usual
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import ReplayedFits
 from tilth.logger.guarded_fold import GuardedFold, HearFit
@@ -42,6 +43,7 @@ LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
 INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, LOAD_TOPIC, ADDRESSES_TOPIC})
 """What enters the fold besides frames and stored states."""
 WITH_RESULTS = COMPARED | INPUTS
+BLOCK = 256  # frames that are taken at once
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
 REPORTED_KINDS = frozenset(
     {EventKind.FAULT, EventKind.CLOCK_STEP, EventKind.OTHER_CLOCK, *receiver_checks.KINDS}
@@ -208,28 +210,45 @@ class _Run:
             self._say(f"{log.path}: {gap}")
 
     def _records(self, log: OpenLog, buses: Mapping[str, str]) -> None:
-        writer, pace, progress = self._outputs.writer, self._outputs.pace, self._outputs.progress
-        summary, goes_on = self.summary, self.fitter.holds_outcomes  # a clock of tilth's is never set
-        time, before_ns = LogTime(), summary.duration_ns
+        summary, progress = self.summary, self._outputs.progress
+        at_once = self._outputs.writer is None and self._outputs.pace is None
+        time, before_ns, told = LogTime(), summary.duration_ns, summary.frames
+        frames: list[Frame] = []
         for record in on_buses_of(self._machine, log, buses, self._say):
             if self._anew and not isinstance(record, Gap):
                 self._start_anew(record.t_ns)
             if isinstance(record, Frame):
-                log_time.take_stamp(time, record)
-                summary.duration_ns = before_ns + time.passed_ns + (time.silent_ns if goes_on else 0)
-                if pace is not None:
-                    pace(time.latest_ns)
-                summary.frames += 1
-                if writer is not None:
-                    writer.frame(record)
-                fold = self._fold
-                self._waited += not fold.state.ready
-                if given := fold.take(record):
-                    self._put(given)
-                if progress is not None and summary.frames % PROGRESS_FRAMES == 0:
-                    progress(self._read_bytes + log.position())
-            else:
+                frames.append(record)
+                if at_once and len(frames) < BLOCK:
+                    continue
+            self._frames(frames, time, before_ns)
+            frames.clear()
+            if not isinstance(record, Frame):
                 self._logged(log, record, buses)
+            if progress is not None and summary.frames - told >= PROGRESS_FRAMES:
+                told = summary.frames
+                progress(self._read_bytes + log.position())
+        self._frames(frames, time, before_ns)
+
+    def _frames(self, frames: Sequence[Frame], time: LogTime, before_ns: int) -> None:
+        """Take frames between which nothing else enters the fold: one alone where each is waited for, or
+        written before its results. time: of this log. before_ns: how long those before it lasted."""
+        writer, pace, k = self._outputs.writer, self._outputs.pace, 0
+        while k < len(frames):
+            k = next((index for index, _ in usual(time, frames, k)), len(frames))
+            if k < len(frames):
+                log_time.take_stamp(time, frames[k])
+                k += 1
+        silent_ns = time.silent_ns if self.fitter.holds_outcomes else 0  # a clock of tilth's is never set
+        self.summary.duration_ns = before_ns + time.passed_ns + silent_ns
+        self.summary.frames += len(frames)
+        self._waited += 0 if self._fold.state.ready else len(frames)
+        for frame in frames if pace or writer else ():
+            if pace is not None:
+                pace(time.latest_ns)
+            if writer is not None:
+                writer.frame(frame)
+        self._put(self._fold.take_all(frames))
 
     def _logged(self, log: OpenLog, record: Snapshot | Gap | Logged, buses: Mapping[str, str]) -> None:
         """What else stands in a log than frames."""

@@ -100,6 +100,11 @@ class Decoder:
         """Who has which address."""
         return self._addresses
 
+    @property
+    def routes(self) -> Mapping[tuple[str, int, bool], object]:
+        """By bus, identifier and whether it has 29 bits, of frames so far: None where nobody reads it."""
+        return self._routes
+
     def origin(self, bus: str, source: int) -> Origin:
         """The device that has an address, as far as known."""
         return self._addresses.sender(bus, source).origin

@@ -21,7 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters.free_noise import gradient_and_information, regress
-from tilth.estimator.filters.likelihood import ROLL_MODES, Iterate, Search, inverse, whitened_by_steering
+from tilth.estimator.filters.likelihood import (
+    ROLL_MODES,
+    Iterate,
+    Search,
+    inverse,
+    once_for_a_search,
+    whitened_by_steering,
+)
 from tilth.estimator.filters.plain_row import OUTPUTS, epochs_of, output_of, positions_of
 from tilth.estimator.filters.row_fit import ROW_FIT, order_at
 from tilth.estimator.filters.states import DT
@@ -88,7 +95,7 @@ def contrast_of(search: Search, left: Iterate, information: Array) -> Contrast:
     that, with the prior. Nothing where the response to steering alone runs away."""
     moving, found = search.of_motion, Contrast()
     places = search.active[moving]
-    e, slopes = whitened_by_steering(search, left.point, places)
+    e, slopes = whitened_by_steering(search, left.point, places, once_for_a_search(search, left.point))
     if not (np.all(np.isfinite(slopes)) and slopes[:, places < 6].any()):
         return found
     weighted = left.de[moving] * (search.scored / np.sqrt(left.S))

@@ -91,6 +91,7 @@ class Search:
     prior_sd: Array  # (a,), with all others unknown
     active: NDArray[np.int64]  # (a,), indices of the unknowns that are not fixed
     outliers_chosen: bool = False  # whether `used` stays as it is
+    steering: Array | None = None  # (m, a), as `once_for_a_search` keeps it
     of_motion: NDArray[np.bool_] = field(init=False)  # (a,), whether an active unknown is no noise level
     of_roll: NDArray[np.bool_] = field(init=False)  # (a,), whether it is of how a body swings on its tyres
 
@@ -230,14 +231,18 @@ def evaluate(
 ) -> Iterate:
     """A point of a search. Derivatives over noise levels are those of `before`, or 0 without.
 
-    instruments: as `response_to_steering` gives it, if `apart_from_ground` is to follow. levels: whether the
-    derivatives over noise levels are renewed, unless they are of a point nearby.
+    instruments: as `response_to_steering` gives it, if `apart_from_ground` is to follow; those by the six
+    are used. levels: whether the derivatives over noise levels are renewed, unless they are of a point
+    nearby.
     """
-    of_motion, many = search.active[search.of_motion], instruments.shape[1]
+    of_motion, many = (
+        search.active[search.of_motion],
+        min(instruments.shape[1], int(np.sum(search.active < 6))),
+    )
     places = np.concatenate([of_motion, search.active[:many]])  # the six come first
     responding = np.arange(len(places)) >= len(of_motion)
     readings = np.zeros((len(instruments), len(places)))
-    readings[:, responding] = instruments
+    readings[:, responding] = instruments[:, :many]
     noise_point = NOWHERE if before is None else before.noise_point
     steps, nearby = _levels_nearby(search, point, noise_point) if levels else (np.zeros(0), NO_POINTS)
     made = _run(search, point, places, instruments=readings, responding=responding, nearby=nearby)
@@ -308,7 +313,17 @@ def response_to_steering(search: Search, point: Array, places: Places | None = N
     )
 
 
-def whitened_by_steering(search: Search, point: Array, places: Places) -> tuple[Array, Array]:
+def once_for_a_search(search: Search, point: Array) -> Array:
+    """`response_to_steering` by all active unknowns of the motion, the six first, at the first point where it
+    is asked for: a search asks near its end, where all points are near."""
+    if search.steering is None:
+        search.steering = response_to_steering(search, point, search.active[search.of_motion])
+    return search.steering
+
+
+def whitened_by_steering(
+    search: Search, point: Array, places: Places, instruments: Array | None = None
+) -> tuple[Array, Array]:
     """(innovations (m,) over their sds, their derivatives (m, s) by the unknowns at `places` along the path
     that the steering alone gives), in the order of the record's rows, for a stage behind the filter.
 
@@ -316,8 +331,9 @@ def whitened_by_steering(search: Search, point: Array, places: Places) -> tuple[
     ground has done is in them. Rows of one tick are updated one after the other, so their innovations are
     uncorrelated, too: this is the tick's innovation vector times the inverse of a Cholesky factor of its
     covariance. A row that `search` leaves out is 0, as are those by which the state only settles.
+    instruments: (m, s), that response at a point nearby; None: it is made.
     """
-    instruments = response_to_steering(search, point, places)
+    instruments = response_to_steering(search, point, places) if instruments is None else instruments
     made = _run(search, point, places, instruments=instruments, responding=np.ones(len(places), np.bool_))
     weights = search.scored / np.sqrt(made.S)
     return made.e * weights, made.de * weights[:, None]
@@ -349,17 +365,20 @@ def apart_from_ground(search: Search, here: Iterate) -> tuple[Iterate, Array]:
 
 def scores_at(search: Search, at: Iterate) -> Array:
     """Derivative of each row's negative log-likelihood, shape (a, m)."""
+    scored, moving = search.scored, np.flatnonzero(at.dS.any(axis=1))
     ratio = at.e / at.S
-    scores: Array = at.de * ratio + at.dS * (0.5 * (1.0 - at.e * ratio) / at.S)
-    scores *= search.scored
+    scores: Array = at.de * (scored * ratio)
+    scores[moving] += at.dS[moving] * (scored * 0.5 * (1.0 - at.e * ratio) / at.S)
     return scores
 
 
 def gradient_and_information(search: Search, at: Iterate, scores: Array) -> tuple[Array, Array]:
     """(gradient (a,), information (a, a)) of the cost, including the prior."""
     scored = search.scored
-    whitened, relative = at.de * (scored / np.sqrt(at.S)), at.dS * (scored / at.S)
-    information = whitened @ whitened.T + 0.5 * relative @ relative.T + search.prior_information
+    whitened, moving = at.de * (scored / np.sqrt(at.S)), np.flatnonzero(at.dS.any(axis=1))
+    relative = at.dS[moving] * (scored / at.S)
+    information = whitened @ whitened.T + search.prior_information
+    information[np.ix_(moving, moving)] += 0.5 * relative @ relative.T
     return gradient(search, at, scores), information
 
 

@@ -22,6 +22,7 @@ class NewtonTuning:
 
     first_damping: float = tuned(1e-3, "1", "of the information's diagonal, at the beginning")
     more: float = tuned(30.0, "1", "factor on the damping of a step that does not lower the cost")
+    most_shrunk: float = tuned(-0.45, "1", "of a logarithm of an sd, that Newton's step is taken for at most")
     beside: float = tuned(3.0, "sd", "from where a search has ended, to look for another place")
     least_rise: float = tuned(0.3, "1", "of the cost there, by the curvature: less, and there may be one")
     """Of 21 windows of five rigs of the fleet the least was 0.56."""
@@ -96,6 +97,12 @@ class Rule(NamedTuple):
     at_once: bool = False  # lessen it only if the first try does
     moving: NDArray[np.bool_] | None = None  # (a,), which unknowns may move, all if None
     secant: bool = False  # whether a step back is shorter, as `not_back` says
+    scales: Array | None = (
+        None  # (a,), prior sds of those that are logarithms of sds, as `of_scales`; 0 of others
+    )
+    is_spared: Callable[[float, Array], bool] | None = None
+    """Whether the search ends, after its first step, before one that promises so many nats and goes so far,
+    (a,), posterior sds."""
 
 
 def newton_step(
@@ -166,6 +173,8 @@ def minimise(problem: Problem[At], at: At, rule: Rule, most: int) -> Minimum[At]
         at, gradient, information = problem.terms(at)
         newton, sds = newton_step(gradient, information, moving=rule.moving)
         promised = -float(gradient @ newton) / 2.0
+        if step > 1 and rule.is_spared is not None and rule.is_spared(promised, np.abs(newton) / sds):
+            return Minimum(at, step - 1, End.SETTLED, np.abs(newton) / sds, promised)
         descent = _descend(problem, at, gradient, information, rule, damping, last)
         change, then, damping = descent
         if then is None:
@@ -187,15 +196,27 @@ def _descend(
         more = damping * NEWTON.more**tried
         if more >= rule.most:
             break
-        change, _ = newton_step(
+        change, sds = newton_step(
             gradient, information, moving=rule.moving, damping=more, limits=rule.limits, each=rule.each
         )
+        change = change if rule.scales is None else of_scales(change, sds, rule.scales)
         change = change if last is None else not_back(change, last, information)
         then = problem.after(at, change)
         if then is not None:
             kept = rule.at_once and tried > 0
             return change, then, more if kept else max(more * rule.less, rule.least)
     return np.zeros(len(gradient)), None, damping
+
+
+def of_scales(change: Array, sds: Array, prior_sds: Array) -> Array:
+    """Steps, (a,), for Newton's, where unknowns are logarithms of sds. By the information that is expected,
+    such a step is half of what the variance would have to change by, in shares of itself; its logarithm is
+    taken, as far as data tell of it. sds: posterior ones. prior_sds: 0 of other unknowns."""
+    share = np.zeros(len(change))
+    np.divide(sds, prior_sds, out=share, where=prior_sds > 0.0)
+    share = np.where(prior_sds > 0.0, np.maximum(1.0 - share**2, 0.0), 0.0)
+    logarithm = np.log1p(2.0 * np.maximum(change, NEWTON.most_shrunk)) / 2.0
+    return np.asarray(change + share * (logarithm - change), np.float64)
 
 
 def not_back(change: Array, last: StepTaken, information: Array) -> Array:

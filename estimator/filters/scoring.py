@@ -23,8 +23,8 @@ from tilth.estimator.filters.likelihood import (
     inverse,
     likelihood_at,
     negative_log_likelihood,
+    once_for_a_search,
     posterior_cost,
-    response_to_steering,
     scores_at,
     search_of,
     with_gains,
@@ -41,7 +41,7 @@ from tilth.estimator.filters.newton import (
 )
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.soil_within import Pieces, pieces_of
-from tilth.estimator.filters.unknowns import AT
+from tilth.estimator.filters.unknowns import AT, NOISES
 from tilth.estimator.record.record import Record
 from tilth.estimator.tuning import tuned
 
@@ -66,6 +66,9 @@ class SearchTuning:
     )
     roughly_flat: float = tuned(0.2, "nat", "the same of noise levels and roll modes before `_apart`")
     soon_flat: float = tuned(1.0, "nat", "the same of a search that only begins for these two")
+    spared: float = tuned(
+        0.5, "nat", "that a step is to promise, or to take the six further than `settled_step`"
+    )
     settled_step: float = tuned(0.1, "sd", "of the posterior of the six")
     arrived_step: float = tuned(0.3, "sd", "of the six: remaining step of a stopped search that converged")
     steps_on_ground: int = tuned(
@@ -89,6 +92,7 @@ class SearchTuning:
 SEARCH: Final = SearchTuning()
 
 _DISTURBANCES: Final = slice(AT["push_t"], AT["push_yaw"] + 1)
+_SCALES: Final = [AT[name] for name in NOISES if name != "memory"]  # logarithms of sds
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +190,7 @@ def _in_one_place(search: Search, ended: _Ended) -> tuple[_Ended, bool]:
     if change is None:
         return ended, False
     search.outliers_chosen = True  # costs over other rows could not be compared
+    search.steering = None
     other = _ended(search, evaluate(search, _moved(search, point, change), levels=True))
     away = (other.at.point - point)[search.active] / np.sqrt(np.diag(covariance))
     two = other.converged and are_two(away[six], abs(other.at.cost - ended.at.cost))
@@ -196,6 +201,7 @@ def _in_one_place(search: Search, ended: _Ended) -> tuple[_Ended, bool]:
 def _likeliest(search: Search, first: Iterate) -> tuple[Iterate, int, bool]:
     """(the likelihood's maximum, steps to it, whether it was found). first: where the search begins."""
     minimum = _maximum(_Likelihood(search), first)
+    minimum = minimum._replace(at=_chosen(search, minimum.at))
     steps, linear = minimum.steps, search.setup.scale != 1.0
     stuck = minimum.end is End.OUT_OF_STEPS or minimum.promised > SEARCH.empty_promise
     if stuck or linear:
@@ -256,17 +262,18 @@ class _Likelihood(NamedTuple):
     def after(self, at: Iterate, change: Array) -> Iterate | None:
         point = _moved(self.search, at.point, change)
         if self.apart_next:
-            then = evaluate(self.search, point, at, response_to_steering(self.search, point))
+            then = evaluate(self.search, point, at, once_for_a_search(self.search, point))
         else:
             then = evaluate(self.search, point, at, levels=True)
         return then if np.isfinite(then.cost) and then.cost <= at.cost + SEARCH.slack else None
 
     def taken(self, step: int, at: Iterate) -> Iterate:
-        if step != 2 or self.gains is not Gains.HELD or self.search.outliers_chosen:
-            return at
-        before = self.search.used
-        _leave_out(self.search, at.e, at.S)  # outliers are chosen once in a fit, at this point
-        return at if np.array_equal(before, self.search.used) else evaluate(self.search, at.point, at)
+        return _chosen(self.search, at) if step == 2 and self.gains is Gains.HELD else at
+
+    def is_spared(self, promised: float, sizes: Array) -> bool:
+        """Whether a next step, of so many nats and posterior sds, is left to those that follow."""
+        six = float(np.max(sizes[self.search.active < 6], initial=0.0))
+        return promised < SEARCH.spared and six < SEARCH.settled_step
 
     def settled(self, step: int, before: Iterate, at: Iterate, sizes: Array) -> bool:
         """Only the six must be settled: a noise level that has no effect may go to and fro."""
@@ -306,7 +313,7 @@ class _Apart(NamedTuple):
     moving: NDArray[np.bool_]
 
     def place(self, point: Array, before: Iterate) -> _Place:
-        here = evaluate(self.search, point, before, response_to_steering(self.search, point))
+        here = evaluate(self.search, point, before, once_for_a_search(self.search, point))
         return _Place(here, *apart_from_ground(self.search, here))
 
     def terms(self, at: _Place) -> tuple[_Place, Array, Array]:
@@ -339,13 +346,17 @@ def _moved(search: Search, point: Array, change: Array) -> Array:
 def _rule(search: Search, moving: NDArray[np.bool_] | None) -> Rule:
     limits = _step_limits(search)
     return Rule(
-        limits, False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True, moving=moving, secant=True
-    )
+        limits, False, 0.2, SEARCH.least_damping, tries=SEARCH.tries, at_once=True, moving=moving,
+        secant=True, scales=np.where(np.isin(search.active, _SCALES), search.prior_sd, 0.0),
+    )  # fmt: skip
 
 
 def _maximum(problem: _Likelihood, at: Iterate, most: int = SEARCH.most_iterations) -> Minimum[Iterate]:
     """The likelihood's maximum, from a starting point."""
-    return minimise(problem, at, _rule(problem.search, problem.moving), most)
+    rule = _rule(problem.search, problem.moving)
+    if problem.search.setup.scale == 1.0 and problem.gains is Gains.HELD:  # steps on the ground follow
+        rule = rule._replace(is_spared=problem.is_spared)
+    return minimise(problem, at, rule, most)
 
 
 def _arrived(minimum: Minimum[Iterate]) -> bool:
@@ -371,6 +382,15 @@ def _apart(search: Search, at: Iterate) -> tuple[Minimum[_Place], bool]:
 def with_gain(found: Posterior, gain: float) -> Posterior:
     """The same posterior with another `gain`."""
     return replace(found, gain=gain)
+
+
+def _chosen(search: Search, at: Iterate) -> Iterate:
+    """The point without outliers, which are chosen once in a fit, at the first point that this is asked."""
+    if search.outliers_chosen:
+        return at
+    before, search.outliers_chosen = search.used, True
+    _leave_out(search, at.e, at.S)
+    return at if np.array_equal(before, search.used) else evaluate(search, at.point, at)
 
 
 def _step_limits(search: Search) -> Array:

@@ -10,7 +10,8 @@ import can
 import pytest
 from logs import MACHINE, MACHINE_TEXT, SECONDS, Live, altered, record, results_of
 
-from tilth.estimator.fold import State, step
+from tilth.estimator import fold
+from tilth.estimator.fold import State, use
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.snapshot import VERSION
 from tilth.logger import guarded_fold
@@ -421,19 +422,17 @@ def test_an_empty_log_among_others_is_passed_over(live: Live, tmp_path: Path) ->
 def test_a_fault_of_the_fold_costs_no_frame(
     live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def failing(state: State, frame: Frame) -> list[Publication]:
-        if frame is bad:
-            raise ZeroDivisionError("planted")
-        return step(state, frame)
-
-    monkeypatch.setattr(guarded_fold, "step", failing)
     rows = live.rows[:6000]
-    bad = rows[3000]
+    bad = next(frame for frame in rows[3000:] if frame.can_id == 0x18FF0B15)  # the wheel angle
+
+    def failing(state: State, frame: Frame) -> list[Publication]:
+        if frame == bad:  # the frame read back is equal to that one, not the same one
+            raise ZeroDivisionError("planted")
+        return use(state, frame)
+
+    for module in (fold, guarded_fold):
+        monkeypatch.setattr(module, "use", failing)
     (part,) = record(tmp_path, rows, 1).parts
-    # The frame read back is equal to that one, not the same one.
-    monkeypatch.setattr(
-        guarded_fold, "step", lambda state, frame: failing(state, bad if frame == bad else frame)
-    )
     path = tmp_path / "out.mcap"
     writer = LogWriter(path, MachineFile(MACHINE, MACHINE_TEXT), RunPart("again", 1, 0))
     comparison = Comparison()

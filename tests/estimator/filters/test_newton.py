@@ -199,3 +199,44 @@ def test_a_search_that_goes_to_and_fro_is_ended_by_a_secant() -> None:
     plain, secant = hollow(problem, start), hollow(problem, start, secant=True)
     assert secant.end is End.SETTLED and secant.steps < 12
     assert plain.steps > 5 * secant.steps
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """Of 100 residuals of variance 1 the sd, whose logarithm is 0 at the minimum."""
+
+    def terms(self, at: Array) -> tuple[Array, Array, Array]:
+        return at, 100.0 * (1.0 - np.exp(-2.0 * at)), np.full((1, 1), 200.0)
+
+    def after(self, at: Array, change: Array) -> Array | None:
+        return at + change
+
+    def taken(self, step: int, at: Array) -> Array:
+        return at
+
+    def settled(self, step: int, before: Array, at: Array, sizes: Array) -> bool:
+        return bool(np.max(sizes) < 1e-6)
+
+
+@pytest.mark.parametrize(("start", "fewer"), [(1.0, 3), (0.6, 2), (-0.4, 1)])
+def test_the_logarithm_of_an_sd_is_found_in_fewer_steps(start: float, fewer: int) -> None:
+    plain = Rule(np.full(1, 2.0), False, 0.2, 1e-9)
+    found = [
+        minimise(NoiseLevel(), np.array([start]), rule, 30)
+        for rule in (plain, plain._replace(scales=np.full(1, 10.0)))
+    ]
+    assert [abs(one.at[0]) < 1e-5 for one in found] == [True, True]
+    assert found[1].steps <= found[0].steps - fewer
+    known = minimise(NoiseLevel(), np.array([start]), plain._replace(scales=np.zeros(1)), 30)
+    assert known.at == found[0].at and known.steps == found[0].steps
+
+
+def test_a_search_ends_before_a_step_that_it_spares() -> None:
+    rule = Rule(np.full(2, 0.5), False, 0.2, 1e-9, tries=12)
+    spared = rule._replace(is_spared=lambda promised, sizes: bool(promised < 0.01))
+    found = minimise(Valley(), np.array([-1.2, 1.0]), spared, 100)
+    assert found.end is End.SETTLED and found.promised < 0.01
+    assert found.steps < searched(Valley()).steps
+    assert minimise(Valley(), np.array([-1.2, 1.0]), rule, found.steps).at == pytest.approx(found.at)
+    at_once = rule._replace(is_spared=lambda promised, sizes: True)
+    assert minimise(Valley(), np.array([-1.2, 1.0]), at_once, 100).steps == 1
