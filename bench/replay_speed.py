@@ -4,8 +4,9 @@
 
 A log of the demo's traffic (800 frames/s: four receivers, wheel angle, and as many frames again that nobody
 wants; with --own only the rig's) is recorded with its results, as the daemon does it, and read back in
-several ways. Last come the first words of all commands. All ways run in turn; the best round of each counts. Times are of the processor, of all threads
-and processes: other programs that run beside it make them up to twice as long. Kernels are compiled before.
+several ways. All ways run in turn; the best round of each counts. Times are of the processor, of all
+threads and processes: other programs that run beside it make them up to twice as long. Kernels are compiled
+before. Last come the first words of all commands.
 An hour: --seconds 3600 --own --rounds 1.
 """
 
@@ -202,9 +203,7 @@ def first_words(path: Path, machine: Machine, text: str, rows: list[Frame]) -> N
     least = took.pop("(import numpy, pydantic)")
     for name, seconds in sorted(took.items(), key=lambda row: -row[1]):
         aim = 1.5 if name == "replay of one frame" else 1.0
-        print(
-            f"{name:38} {seconds:6.2f} s, {seconds / least:4.1f} times its imports alone, of {aim:g} s aimed at"
-        )
+        print(f"{name:38} {seconds:6.2f} s of {aim:g} s, {seconds / least:4.1f} times those imports")
 
 
 def cpu_seconds(way: Callable[[], object]) -> float:
