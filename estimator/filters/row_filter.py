@@ -334,16 +334,13 @@ def respond(row: Whitened, model: StraightModel, unknowns: Array, places: Places
 
 
 def rehearse() -> None:
-    """Compile both loops, by runs over one tick without a row. They call nothing of the rig's motion."""
-    n, outputs, speeds, ticks, rows = len(KEPT), N_SENSORS, np.arange(2.0), np.zeros((1, 8)), np.zeros((0, 6))
-    of_all, unknowns, places = np.zeros((2, n, n)), np.zeros(N_UNKNOWNS), np.zeros(1, np.int64)
-    model = FilterModel(speeds, of_all, of_all, np.zeros((2, outputs, n)), np.eye(n))
+    """Compile the filter's loop, by a run over one tick without a row. It calls nothing of the rig's motion.
+
+    Not that of the response as well: then who compiles the rig's motion meanwhile comes to the loop of a fit
+    too, before this process has compiled it.
+    """
+    n, ticks, rows = len(KEPT), np.zeros((1, 8)), np.zeros((0, 6))
+    of_all = np.zeros((2, n, n))
+    model = FilterModel(np.arange(2.0), of_all, of_all, np.zeros((2, N_SENSORS, n)), np.eye(n))
     gains = KeptGains(rows[:, 0].copy(), rows[:, 0].copy(), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0))
-    set_gains(ticks, rows, np.zeros(0), unknowns, model, 0, gains)
-    shape = (2, outputs, N_STRAIGHT)
-    straight = StraightModel(
-        speeds, np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1)), np.zeros((2, N_STRAIGHT, N_STRAIGHT + 1, 1)),
-        np.zeros(shape), np.zeros((*shape, 1)), np.zeros(shape[:2]), np.zeros((*shape[:2], 1)),
-    )  # fmt: skip
-    row = Whitened(ticks, rows, gains, model, np.zeros(0, np.int64), np.zeros(0), np.zeros(1), np.zeros(1))
-    respond(row, straight, unknowns, places, np.zeros((0, 2)))
+    set_gains(ticks, rows, np.zeros(0), np.zeros(N_UNKNOWNS), model, 0, gains)

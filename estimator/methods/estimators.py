@@ -30,9 +30,7 @@ class Fitting:
     rehearse: Callable[[Machine], None]  # a fit of made-up data, which compiles what a fit needs
     adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None, t_ns)
     finish: Callable[[Any], None]  # (state): no driving follows, so that the present window is complete
-    rehearse_alone: Callable[[], None] = lambda: (
-        None
-    )  # compiles what of it the methods come to last, or never
+    rehearse_alone: Callable[[], None] = lambda: None  # compiles what no other process begins with
     of_file: Callable[[Any], tuple[Misfit, float] | None] = lambda made: None
     """(result): what it tells of the machine file, and s of driving that this is of; None: nothing."""
 
