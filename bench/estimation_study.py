@@ -62,6 +62,8 @@ STAR_FIRE: Final = 0xA00017000421E250  # NAME of a receiver at 5 Hz, and of one 
 NMEA_2000: Final = 0xC07891000B002720
 HIDDEN_M: Final = 0.03  # m, of a lever arm or a CG
 DROP: Final = 0.7  # of all stiffnesses
+METHODS: Final = ("recommended", "pem", "tracker", "steady_state")
+FAR: Final = (4.0, 6.0)  # sds
 CHANGE_S: Final = 62.0  # into the run, on a straight stretch
 INFORMED: Final = math.radians(2.0)  # wheel angle from which on a manoeuvre is informative
 
@@ -322,10 +324,14 @@ class Followed:
     over_mass: dict[str, tuple[float, float]]  # method -> error of log C_ai/m_i as given last, and its sd
 
 
-def followed(run: Driven, watch: Callable[[fold.State, Estimate], None] | None = None) -> Followed:
+def followed(
+    run: Driven,
+    watch: Callable[[fold.State, Estimate], None] | None = None,
+    state: fold.State | None = None,
+) -> Followed:
     """A run through the fold; each fit is there when it is due. watch: is told of each estimate as it is
-    published."""
-    state = fold.initial(run.machine)
+    published. state: that it begins from."""
+    state = state or fold.initial(run.machine)
     series: dict[str, list[list[float]]] = {}
     events, last, over_mass = [], dict[str, Estimate](), dict[str, tuple[float, float]]()
     true_log = float(run.logs[2]) - math.log(run.truth.rig.m_i)
@@ -383,3 +389,10 @@ def first_informed(wheel: Array, after_s: float) -> float:
     from_ = round(after_s / STEP_S)
     beyond_limit = np.flatnonzero(np.abs(wheel[from_:]) > INFORMED)
     return (from_ + int(beyond_limit[0])) * STEP_S if len(beyond_limit) else math.inf
+
+
+def harm(rows: Array, logs: Array) -> tuple[int, int]:
+    """(numbers that were given, those of them beyond FAR[0]), all instants counted. rows: as
+    Followed.series; logs: true logarithms, (6,)."""
+    z = np.abs((rows[:, 1:7] - logs) / rows[:, 7:13])
+    return int(np.isfinite(z).sum()), int(np.sum(z > FAR[0]))

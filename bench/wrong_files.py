@@ -1,10 +1,10 @@
 """Machine files that are wrong in one number: what becomes of each, on four drives; right files for hours.
 
     python bench/wrong_files.py changes [--drive NAME] [--fleet N] [--every N] [--out FILE]
-    python bench/wrong_files.py right --hours H [--fleet] [--out FILE]
+    python bench/wrong_files.py right --hours H [--out FILE]
 
 --fleet N: also on N rigs of the virtual fleet, whose right files are those of their owners, by turns on the
-four drives; of `right`: only on rigs of it, in the cells of bench/fleet_design.py.
+four drives. Right files of the fleet are rows of bench/fleet.py.
 
 Results are lines of JSON in FILE; what is there is not done again. Each change ends as one of
 
@@ -41,50 +41,39 @@ from typing import Any, Final
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from estimation_study import fitted_at_once
-from fleet_design import cell_of
-from fleet_design import scenario as scenario_in
+import numpy as np
+from estimation_study import FAR, FIELD, METHODS, UNEVEN, Driven, followed, harm
+from numpy.typing import NDArray
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis import diagnosis
 from tilth.estimator.diagnosis.consistency import CONTRADICTION
-from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import PARAMETERS, Estimate, Event, Frame, Measurement, Publication, Status
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
-from tilth.schemas.sentences import event_sentence, sentence
+from tilth.schemas.sentences import sentence
+from tilth.simulator.drive import drive
 from tilth.simulator.fleet import drawn, headlands_of, scenario_of
 from tilth.simulator.fleet_files import owners_text, text_of, true_machine
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
     Fieldwork,
-    Ground,
     HeadlandTurn,
     Parameter,
     Scenario,
-    Soil,
     Turns,
     parse_scenario,
 )
 from tilth.simulator.simulate import PACKAGED
-from tilth.simulator.tractor import draw
-from tilth.simulator.traffic import simulate
+from tilth.simulator.tractor import Truth
 
+Array = NDArray[np.float64]
 Raw = dict[str, Any]
 FLEET: Final = "fleet-"  # before the number of a rig, as the name of a drive
 PARKED: Final = (12.0, 0.0)
-UNEVEN: Final = Ground(roll_sd_deg=0.7, force_sd=0.015)
-FIELD: Final = Soil(grip=0.7, rolling=0.06)
 SOFT: Final[Mapping[Parameter, float]] = {
-    "C_af": 120e3,
-    "C_ar": 330e3,
-    "C_ai": 100e3,
-    "sigma_f": 0.9,
-    "sigma_r": 1.2,
-    "sigma_i": 0.8,
-}
+    "C_af": 120e3, "C_ar": 330e3, "C_ai": 100e3, "sigma_f": 0.9, "sigma_r": 1.2, "sigma_i": 0.8,
+}  # fmt: skip
 SECONDS: Final = 100.0
-BEYOND_SD: Final = 4.0  # a number that is further off is harm
 HEADLAND_TURNS: Final = (HeadlandTurn(18.0, 8.9), HeadlandTurn(6.1, 4.8))  # a U at 18 degrees, a loop at 32
 DRIVES: Final = {
     "slope": Scenario(
@@ -124,10 +113,8 @@ class FileChange:
     name: str
     group: str
     apply: Callable[[Raw], None]
-    scaled: tuple[float, float] = (
-        1.0,
-        1.0,
-    )  # of the tractor's and the implement's masses: only C over mass shows
+    scaled: tuple[float, float] = (1.0, 1.0)
+    """Of the tractor's and the implement's masses: only C over mass shows."""
 
 
 def packaged() -> Raw:
@@ -156,16 +143,9 @@ def written_out(raw: Raw) -> Raw:
 # The changes.
 
 TIMES: Final = {
-    "x -1": -1.0,
-    "x 0.5": 0.5,
-    "x 2": 2.0,
-    "x 57.3": 57.3,
-    "/ 57.3": 1 / 57.3,
-    "x 1000": 1e3,
-    "/ 1000": 1e-3,
-}
+    "x -1": -1.0, "x 0.5": 0.5, "x 2": 2.0, "x 57.3": 57.3, "/ 57.3": 1 / 57.3, "x 1000": 1e3, "/ 1000": 1e-3,
+}  # fmt: skip
 PLUS: Final = {"length": ("+ 1 m", 1.0), "angle": ("+ 5 deg", 5.0)}
-_GEOMETRY: Final = [*(f"tractor.{k}" for k in ("a", "b", "c")), "implement.d", "implement.e"]
 
 
 def numbers() -> Iterator[tuple[tuple[str | int, ...], str, str]]:
@@ -244,34 +224,22 @@ def changes() -> Iterator[FileChange]:
     for k in range(4):
         yield FileChange(f"receiver.{k}.roll_corrected not", "roll", partial(_exchange_roll, receiver=k))
     for factor in (0.5, 2.0):
-        yield FileChange(
-            f"all masses and inertias x {factor}",
-            "mass",
-            partial(_all_masses, factor=factor),
-            (factor, factor),
-        )
+        of_all = partial(_all_masses, factor=factor)
+        yield FileChange(f"all masses and inertias x {factor}", "mass", of_all, (factor, factor))
 
 
 def _exchanges() -> Iterator[FileChange]:
-    pairs: list[tuple[tuple[Any, ...], tuple[Any, ...], str]] = []
-    pairs += [
-        (("receiver", i, "name"), ("receiver", j, "name"), "names") for i in range(4) for j in range(i + 1, 4)
-    ]
-    pairs += [
-        (("receiver", i, "position"), ("receiver", j, "position"), "places")
-        for i in range(4)
-        for j in range(i + 1, 4)
-    ]
-    pairs += [(("receiver", k, "position", 0), ("receiver", k, "position", 1), "places") for k in range(4)]
-    pairs += [(("tractor", i), ("tractor", j), "places") for i, j in (("a", "b"), ("a", "c"), ("b", "c"))]
-    pairs += [
+    two = list(itertools.combinations(range(4), 2))
+    axles = itertools.combinations(("front", "rear", "implement"), 2)
+    pairs: list[tuple[tuple[Any, ...], tuple[Any, ...], str]] = [
+        *((("receiver", i, "name"), ("receiver", j, "name"), "names") for i, j in two),
+        *((("receiver", i, "position"), ("receiver", j, "position"), "places") for i, j in two),
+        *((("receiver", k, "position", 0), ("receiver", k, "position", 1), "places") for k in range(4)),
+        *((("tractor", i), ("tractor", j), "places") for i, j in itertools.combinations("abc", 2)),
         (("implement", "d"), ("implement", "e"), "places"),
         (("tractor", "c"), ("implement", "d"), "places"),
-    ]
-    pairs += [(("tractor", k), ("implement", k), "mass") for k in ("mass", "yaw_inertia")]
-    pairs += [
-        (("tyres", i), ("tyres", j), "tyres")
-        for i, j in (("front", "rear"), ("front", "implement"), ("rear", "implement"))
+        *((("tractor", k), ("implement", k), "mass") for k in ("mass", "yaw_inertia")),
+        *((("tyres", i), ("tyres", j), "tyres") for i, j in axles),
     ]
     for one, other, group in pairs:
         name = f"{'.'.join(map(str, one))} <> {'.'.join(map(str, other))}"
@@ -294,18 +262,6 @@ def _all_masses(raw: Raw, factor: float) -> None:
 
 
 # The drives.
-
-
-class ReplayedDecoder(Decoder):
-    """Returns the stored measurements of a drive again, for changes of the file that do not affect
-    decoding."""
-
-    def __init__(self, machine: Machine, reported: list[list[Measurement]]) -> None:
-        super().__init__(machine)
-        self._measurements = iter(reported)
-
-    def measurements(self, frame: Frame) -> list[Measurement]:
-        return next(self._measurements)
 
 
 @dataclass(frozen=True)
@@ -331,77 +287,38 @@ def named(name: str) -> RightDrive:
 
 
 @cache
-def driven(name: str) -> tuple[list[Frame], list[list[Measurement]], dict[str, float]]:
-    """(frames that give measurements with the right file, these measurements, true parameters)."""
-    right_one = named(name)
-    machine, scenario = right_one.machine, right_one.scenario
-    decoder = Decoder(parse_machine(text_of(right_one.raw)))
-    all_frames = list(simulate(machine, scenario.seed, SECONDS, scenario))
-    reported = [list(decoder.measurements(frame)) for frame in all_frames]
-    used = [k for k, some in enumerate(reported) if some]
-    return (
-        [all_frames[k] for k in used],
-        [reported[k] for k in used],
-        draw(machine, scenario.seed, scenario),
-    )
+def driven(name: str) -> Truth:
+    one = named(name)
+    return drive(one.machine, one.scenario.seed, SECONDS, one.scenario)
 
 
 @dataclass
 class SeenFlags:
     """What came of one drive with one file."""
 
-    given: dict[str, list[tuple[float, tuple[float, ...]]]]  # method -> (s, error over sd of each, or nan)
+    rows: dict[str, Array]  # of METHODS, as Followed.series
+    logs: Array  # (6,) true logarithms, as far as this file can show them
     reasons: list[str]  # contradictions that stand at the end
-    off: dict[str, list[float | None]]  # method -> natural log of what it gave last over the truth
-    first: str = ""  # the first contradiction, and when
-    first_s: float = math.nan
+    first: tuple[float, str]  # the first contradiction: s, sentence
+
+    def z(self, method: str) -> Array:
+        """Errors over sds, (m, 6)."""
+        rows = self.rows[method]
+        return np.asarray((rows[:, 1:7] - self.logs) / rows[:, 7:13], np.float64)
 
 
-def drive(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> SeenFlags:
+def seen(name: str, raw: Raw, scaled: tuple[float, float] = (1.0, 1.0)) -> SeenFlags:
     """Raises MachineError."""
-    machine = parse_machine(text_of(raw))
-    frames, reported, truth = driven(name)
-    state = fold.initial(machine)
-    base = named(name).raw
-    if raw["wheel_angle"] == base["wheel_angle"] and not _decoded_otherwise(raw, base):
-        state.decoder = ReplayedDecoder(machine, reported)
-    out: list[Publication] = []
-    for frame in frames:
-        out += fitted_at_once(state, frame.t_ns)
-        out += fold.step(state, frame)
-        fold.request_fits(state, frame.t_ns)
-    masses = (scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0)
-    logs = [math.log(truth[p] * m) for p, m in zip(PARAMETERS, masses, strict=True)]
-    result = SeenFlags({}, [sentence(one.reason) for one in diagnosis.contradictions(state.diagnosis)], {})
-    for publication in out:
-        at_s, value = (publication.t_ns - frames[0].t_ns) * 1e-9, publication.value
-        if isinstance(value, Event) and value.kind == CONTRADICTION and not result.first:
-            result.first, result.first_s = event_sentence(value), at_s
-        if isinstance(value, Estimate) and value.method != "pem_two_step":
-            result.given.setdefault(value.method, []).append((at_s, _errors(value, logs)))
-            result.off[value.method] = _off(value, logs)
-    return result
-
-
-def _decoded_otherwise(raw: Raw, base: Raw) -> bool:
-    keys = ("name", "position_sd", "velocity_sd", "yaw_rate_sd", "heading_sd", "roll_sd")
-    return any(a[k] != b[k] for a, b in zip(raw["receiver"], base["receiver"], strict=True) for k in keys)
-
-
-def _errors(estimate: Estimate, logs: list[float]) -> tuple[float, ...]:
-    return tuple(
-        (math.log(p.value) - log) / (p.sd / p.value)
-        if p.status is Status.ESTIMATED and p.value is not None and p.sd
-        else math.nan
-        for p, log in zip(estimate.parameters, logs, strict=True)
+    states = list[fold.State]()
+    run = Driven(parse_machine(text_of(raw)), driven(name), named(name).machine)
+    heard = followed(run, lambda state, estimate: states.append(state))
+    said = [(at_s, text) for at_s, kind, text in heard.events if kind == CONTRADICTION]
+    return SeenFlags(
+        {method: heard.series[method] for method in METHODS if method in heard.series},
+        heard.logs + np.log([scaled[0], scaled[0], scaled[1], 1.0, 1.0, 1.0]),
+        [sentence(one.reason) for one in diagnosis.contradictions(states[-1].diagnosis)] if states else [],
+        said[0] if said else (math.nan, ""),
     )
-
-
-def _off(estimate: Estimate, logs: list[float]) -> list[float | None]:
-    return [
-        round(math.log(p.value) - log, 4) if p.status is Status.ESTIMATED and p.value else None
-        for p, log in zip(estimate.parameters, logs, strict=True)
-    ]
 
 
 # What becomes of a change.
@@ -409,7 +326,7 @@ def _off(estimate: Estimate, logs: list[float]) -> list[float | None]:
 
 @cache
 def right(name: str) -> SeenFlags:
-    return drive(name, named(name).raw)
+    return seen(name, named(name).raw)
 
 
 def outcome(name: str, change: FileChange) -> dict[str, Any]:
@@ -418,27 +335,23 @@ def outcome(name: str, change: FileChange) -> dict[str, Any]:
     change.apply(raw)
     line: dict[str, Any] = {"drive": name, "change": change.name, "group": change.group}
     try:
-        result = drive(name, raw, change.scaled)
+        result = seen(name, raw, change.scaled)
     except MachineError as error:
         return line | {"outcome": "refused", "reason": str(error)}
     except Exception as error:  # a fault is an outcome too, and the rest must go on
         return line | {"outcome": "fault", "reason": f"{type(error).__name__}: {error}"}
     worst, further, early_s = _worst(result, right(name))
+    given, beyond = np.sum([harm(rows, result.logs) for rows in result.rows.values()], axis=0)
     line |= {
-        "worst": worst,
-        "further": further,
-        "early_s": early_s,
-        "first_s": result.first_s,
-        "first": result.first,
-        "off": result.off,
-    } | _harm(result)
+        "worst": worst, "further": further, "early_s": early_s, "first_s": result.first[0],
+        "first": result.first[1], "numbers": int(given), "beyond": int(beyond),
+    }  # fmt: skip
     if result.reasons:
         is_named = any(part in reason for reason in result.reasons for part in GROUPS[change.group])
         return line | {
-            "outcome": "withdrawn" if is_named else "elsewhere",
-            "reason": "; ".join(result.reasons),
-        }
-    if not any(math.isfinite(z) for rows in result.given.values() for _, zs in rows for z in zs):
+            "outcome": "withdrawn" if is_named else "elsewhere", "reason": "; ".join(result.reasons),
+        }  # fmt: skip
+    if not given:
         return line | {"outcome": "no number"}
     if worst > 3.0 and further > 0.0:
         return line | {"outcome": "wrong"}
@@ -449,39 +362,21 @@ def _worst(result: SeenFlags, base: SeenFlags) -> tuple[float, float, float]:
     """(largest error at the end, how much further off than with the right file, s with a wrong one out)."""
     worst = further = 0.0
     wrong: set[int] = set()
-    for method, rows in result.given.items():
-        for at_s, zs in rows:
-            others = _nearest(base.given.get(method, []), at_s)
-            for z, other in zip(zs, others, strict=True):
-                if math.isfinite(z) and abs(z) > 3.0 and not abs(z) < abs(other) + 1.0:
-                    wrong.add(round(at_s))
-        for z, other in zip(rows[-1][1], base.given[method][-1][1], strict=True):
-            if math.isfinite(z):
-                worst = max(worst, abs(z))
-                more = abs(z) - abs(other) if math.isfinite(other) else abs(z) - 2.0
-                further = max(further, more)
+    for method, rows in result.rows.items():
+        z, times = np.abs(result.z(method)), base.rows[method][:, 0]
+        others = np.abs(base.z(method)[np.argmin(np.abs(times[:, None] - rows[:, 0]), axis=0)])
+        far = (z > 3.0) & ~(z < others + 1.0)
+        wrong.update(np.round(rows[far.any(axis=1), 0]).astype(int).tolist())
+        more = z[-1] - np.where(np.isfinite(others[-1]), others[-1], 2.0)
+        worst, further = (float(np.nanmax([most, *new])) for most, new in ((worst, z[-1]), (further, more)))
     return worst, further, float(len(wrong))
-
-
-def _harm(result: SeenFlags) -> dict[str, int]:
-    given = [abs(z) for rows in result.given.values() for _, zs in rows for z in zs if math.isfinite(z)]
-    return {"numbers": len(given), "beyond": sum(z > BEYOND_SD for z in given)}
-
-
-def _nearest(rows: list[tuple[float, tuple[float, ...]]], at_s: float) -> tuple[float, ...]:
-    return min(rows, key=lambda row: abs(row[0] - at_s))[1]
 
 
 # Right files, for hours.
 
 
-def right_drives(of_the_fleet: bool) -> Iterator[tuple[str, RightDrive]]:
+def right_drives() -> Iterator[tuple[str, RightDrive]]:
     """(name, drive) without end."""
-    for number in itertools.count() if of_the_fleet else ():
-        rig, cell = drawn(number), cell_of(number)
-        first = cell.manoeuvre.receivers
-        raw, machine = tomllib.loads(owners_text(rig, first)), true_machine(rig, first)
-        yield f"fleet-{number}, {cell.manoeuvre.name}", RightDrive(raw, machine, scenario_in(rig, cell))
     for name, scenario, load in right_scenarios():
         raw = packaged()
         raw["implement"]["mass"] = {"value": 2127.0 * load, "sd": 200.0}
@@ -502,13 +397,9 @@ def right_scenarios() -> Iterator[tuple[str, Scenario, float]]:
             kind = list(soils)[(seed + k) % 3]
             slope, load = (0.0, 2.0, 4.0)[(seed + 2 * k) % 3], (1.0, 2.5)[(seed + k) % 2]
             base: dict[Parameter, float] = {
-                "C_af": 220e3,
-                "C_ar": 486e3,
-                "C_ai": 167e3 * load**0.8,
-                "sigma_f": 1.1,
-                "sigma_r": 1.5,
-                "sigma_i": 1.1,
-            }
+                "C_af": 220e3, "C_ar": 486e3, "C_ai": 167e3 * load**0.8,
+                "sigma_f": 1.1, "sigma_r": 1.5, "sigma_i": 1.1,
+            }  # fmt: skip
             other = {p: v * (soils[kind] if p.startswith("C") else 1.0) for p, v in base.items()}
             soil = replace(scenario.soil, parameters=other, grip=max(scenario.soil.grip, 0.6))
             ground = replace(scenario.ground, slope_deg=max(scenario.ground.slope_deg, slope))
@@ -518,27 +409,15 @@ def right_scenarios() -> Iterator[tuple[str, Scenario, float]]:
 
 def right_run(name: str, one: RightDrive, seconds: float) -> dict[str, Any]:
     """Contradictions that a right file raises on one drive."""
-    machine = parse_machine(text_of(one.raw))
-    state, began, first_s, withheld_s, last_ns = fold.initial(machine), 0, math.nan, 0.0, 0
-    events: list[tuple[float, str]] = []
-    for frame in simulate(one.machine, one.scenario.seed, seconds, one.scenario):
-        began = began or frame.t_ns
-        out = fitted_at_once(state, frame.t_ns) + fold.step(state, frame)
-        fold.request_fits(state, frame.t_ns)
-        stiffnesses = state.estimates[fold.RECOMMENDED].parameters[:3]
-        given = any(p.status is Status.ESTIMATED for p in stiffnesses)
-        if given and math.isnan(first_s):
-            first_s = (frame.t_ns - began) * 1e-9
-        if not given and math.isfinite(first_s):
-            withheld_s += (frame.t_ns - last_ns) * 1e-9
-        last_ns = frame.t_ns
-        events += [
-            ((p.t_ns - began) * 1e-9, event_sentence(p.value))
-            for p in out if isinstance(p.value, Event) and p.value.kind == CONTRADICTION
-        ]  # fmt: skip
+    truth = drive(one.machine, one.scenario.seed, seconds, one.scenario)
+    heard = followed(Driven(parse_machine(text_of(one.raw)), truth, one.machine))
+    rows = heard.series[METHODS[0]]
+    given, lasted = np.isfinite(rows[:, 1:4]).any(axis=1), np.diff(rows[:, 0], append=rows[-1, 0])
+    first_s = float(rows[np.argmax(given), 0]) if given.any() else math.nan
     return {
-        "run": name, "seconds": seconds, "first_s": first_s, "withheld_s": withheld_s,
-        "events": events,
+        "run": name, "seconds": seconds, "first_s": first_s,
+        "withheld_s": float(lasted[~given & (rows[:, 0] > first_s)].sum()),
+        "events": [(at_s, text) for at_s, kind, text in heard.events if kind == CONTRADICTION],
     }  # fmt: skip
 
 
@@ -579,7 +458,7 @@ def summary(path: Path) -> None:
         shares = ", ".join(f"{kind} {n} ({100 * n / len(some):.1f} %)" for kind, n in counts.most_common())
         print(f"{drive_name or 'all'}: {len(some)}: {shares}")
     numbers, beyond = (sum(line.get(key, 0) for line in lines) for key in ("numbers", "beyond"))
-    print(f"{numbers} numbers given, {beyond} of them beyond {BEYOND_SD:g} sd")
+    print(f"{numbers} numbers given, {beyond} of them beyond {FAR[0]:g} sd")
     for line in lines:
         if line["outcome"] in ("wrong", "elsewhere", "beyond 1 sd", "fault") or line.get("early_s"):
             far = f"worst {line.get('worst', math.nan):.1f}, further {line.get('further', math.nan):.1f}"
@@ -632,7 +511,7 @@ def main() -> None:
         summary(path)
         return
     done, rows, remaining = _known(path, "run"), [], args.hours * 3600.0
-    for name, one in right_drives(bool(args.fleet)):
+    for name, one in right_drives():
         if remaining <= 0.0:
             break
         remaining -= args.seconds

@@ -212,6 +212,7 @@ def _orders(daemon_data: DaemonData, asked: PageQuery) -> list[Route]:
         "/mark": _noted(daemon_data.mark),
         "/accept": _noted(daemon_data.accept),
         "/implement": _noted(daemon_data.implement),
+        "/load": _noted(daemon_data.load),
         "/player": _ordered(order_of, daemon_data.order),
         "/experiment": _ordered(_kind, daemon_data.experiment),
         "/calibration": _ordered(_kind, daemon_data.calibration),

@@ -113,7 +113,7 @@ def observe(
     state.was_confirmed |= state.confirmed
     state.rates_known |= receiver_checks.turn_rates_known(checks)
     found = _by_key(moved) or _found_at_pose(state, aligner, checks, pose, evidence)
-    by_method = _by_methods(state)
+    by_method = _by_methods(state, evidence.rough)
     if found and not any(key in state.cases for key in by_method):
         by_method = {}  # a consequence of what the other checks have found
     return _update(state, {**found, **by_method}, evidence, pose.t_ns)
@@ -160,6 +160,8 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
     usable = (Status.ESTIMATED, Status.STALE)
+    if estimate.of_place is not None:
+        estimate = replace(estimate, of_place=replace(estimate.of_place, log_mean=()))
     if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
         return estimate  # it has no numbers, and its own reasons
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)
@@ -214,14 +216,21 @@ def _of_a_place(one: Diagnosis) -> bool:
     return bool(one.numbers) and NUMBER[one.numbers[0]].place
 
 
-def _by_methods(state: Consistency) -> dict[str, Diagnosis]:
+def _may_diverge(one: Diagnosis) -> bool:
+    """Whether rough ground can look like that to a filter: it does like other inertias, or other axles. What
+    straight driving tells too it does not touch."""
+    return not all(NUMBER[name].in_rows for name in one.numbers)
+
+
+def _by_methods(state: Consistency, rough: bool) -> dict[str, Diagnosis]:
     """What methods find of the file. What a witness does not find that gives numbers, the other has by losing
-    its way: then only what that one says itself is withheld."""
+    its way, or both have on rough ground: then only what these say themselves is withheld."""
     witnesses = [
         {one.key for one in state.methods[method]}
         for method in WITNESSES if method in state.methods and any(state.given.get(method, []))
     ]  # fmt: skip
-    found = _by_key(one for wrong in state.methods.values() for one in wrong)
+    every = (one for wrong in state.methods.values() for one in wrong)
+    found = _by_key(one for one in every if not (rough and _may_diverge(one)))
     return {key: one for key, one in found.items() if all(key in keys for keys in witnesses)}
 
 
@@ -308,7 +317,7 @@ def _update(
         opened = one.code is Code.DRIVING_FINDS
         if not case.found(one, CONSISTENCY.least_poses_open if opened else CONSISTENCY.least_poses):
             continue
-        if opened and (not state.open_restarted or evidence.rough):
+        if opened and (not state.open_restarted or (evidence.rough and _may_diverge(one))):
             evidence = _restart_open(state, directive, evidence)
             del state.cases[key]
             continue
@@ -334,8 +343,9 @@ def _update(
 
 def _restart_open(state: Consistency, directive: Directive, evidence: OpenEvidence) -> OpenEvidence:
     """Restart the open tracker and drop its finding: it may diverge from a distant start, but hardly
-    twice, except on rough ground. There a file is not accused, but from the second time on it is not
-    confirmed either: a restarted one agrees with any file until it has learned."""
+    twice, except on rough ground. There a file is accused of what straight driving tells too, and of nothing
+    else, but from the second time on it is not confirmed either: a restarted one agrees with any file until
+    it has learned."""
     state.confirmed &= not state.open_restarted
     state.open_restarted = directive.reset_open = True
     return evidence.restarted()
@@ -347,6 +357,7 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
     if agreeing is not None and not _fits(evidence, CONSISTENCY.ends):
         evidence = replace(evidence, misfit=agreeing)  # that tracker has lost its way
     state.agrees.look(_fits(evidence, CONSISTENCY.ends))
+    doubt = None if _fits(evidence, 1.0) else NUMBER[NAMES[int(evidence.misfit.by_name.argmax())]].key
     decided = _sensors_known(state)
     least = CONSISTENCY.least_after_restart if state.open_restarted else CONSISTENCY.least_segments
     learned = evidence.learned >= least
@@ -356,6 +367,9 @@ def _update_confirmation(state: Consistency, evidence: OpenEvidence) -> None:
         keys = () if decided else ("turn rates and rolls",)
         seconds = max((least - evidence.learned) * SEGMENT_S, 0.0 if decided else WIDENING.shortest_s)
         state.missing = Reason(Code.NOT_CONFIRMED, keys, (seconds,))
+        return
+    if doubt and not state.judged:  # slopes do not say what so large an error would do
+        state.missing = Reason(Code.DOUBTED, (doubt,))
         return
     state.judged = True
     state.widening = widening_of(evidence, open_numbers.OF_PAIRS if state.pairs_known else (), state.fit)

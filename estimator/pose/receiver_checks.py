@@ -87,8 +87,9 @@ class ReceiverChecks:
     """Information matrix of the data on c of each receiver, as in flow.Mount, and on the hitch's offset,
     m."""
     vector: Array = field(default_factory=lambda: np.zeros(5))
-    rolls: Array = field(default_factory=lambda: np.zeros((2, 2)))
-    """Of both bodies: sums of squares of the rolls and of their noise over the hitch samples, rad^2."""
+    rolls: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    """Of both bodies: sums of squares of the rolls and of their noise over the hitch samples, rad^2, and the
+    mean of half the difference of two receivers' rolls, rad: their zeros differ, which is no noise."""
     hitch_samples: int = 0
     wrong: list[FlagKind | None] = field(default_factory=lambda: [None] * 4)  # TWICE, NOT
     unclear: bool = False  # roll_corrected is wrong somewhere, but it is not known where
@@ -122,7 +123,7 @@ def observe(state: ReceiverChecks, aligner: Aligner, pose: Pose) -> None:
     pairs: list[_Pair | None] = [None, None]
     if speed is not None and speed > DRIVING.under_way and not kinds & WITHOUT_RTK:
         pairs = [_pair(aligner, body, t_ns) for body in (0, 1)]
-    rolls = [_rolls(aligner, body, t_ns) for body in (0, 1)]
+    rolls = [_rolls(state, aligner, body, t_ns) for body in (0, 1)]
     for body, pair in enumerate(pairs):
         _update_intervals(state, aligner, body, pair, rolls[body], t_ns, follows)
     if (pose.t_ns // ALIGNMENT.pose_ns) % RECEIVER_CHECKS.hitch_sample_poses == 0:
@@ -220,17 +221,22 @@ def _pair(aligner: Aligner, body: int, t_ns: int) -> _Pair | None:
     )  # fmt: skip
 
 
-def _rolls(aligner: Aligner, body: int, t_ns: int) -> tuple[float, float] | None:
-    """(roll, rad, variance of its noise) of a body. With two receivers their difference gives the noise."""
+def _rolls(
+    state: ReceiverChecks, aligner: Aligner, body: int, t_ns: int
+) -> tuple[float, float, float] | None:
+    """(roll, rad; variance of its noise; half the difference of two receivers' rolls less its mean, which
+    gives the noise) of a body."""
     match [
         found
         for _, track, at in aligner.in_use(body, t_ns)
         if (found := sample_at(track.rolls, at, RECEIVER_TRACK.slow_hold_ns))
     ]:
         case [(one, _), (other, _)]:
-            return (one + other) / 2, max(((one - other) / 2) ** 2, RECEIVER_CHECKS.least_roll_noise**2)
+            apart, n = (one - other) / 2 - state.rolls[body, 2], state.hitch_samples
+            noise = apart**2 * n / (n + 1)  # the first tells of the zeros alone
+            return (one + other) / 2, max(noise, RECEIVER_CHECKS.least_roll_noise**2), apart
         case [(roll, sd)]:
-            return roll, sd**2
+            return roll, sd**2, 0.0
     return None
 
 
@@ -239,7 +245,7 @@ def _update_intervals(
     aligner: Aligner,
     body: int,
     pair: _Pair | None,
-    roll: tuple[float, float] | None,
+    roll: tuple[float, float, float] | None,
     t_ns: int,
     follows: bool,
 ) -> None:
@@ -299,8 +305,9 @@ def _arms(machine: Machine) -> list[float]:
 
 
 def _add_heading_sample(
-    state: ReceiverChecks, machine: Machine, body: int, excess: float, pair: _Pair, roll: tuple[float, float]
-) -> None:
+    state: ReceiverChecks, machine: Machine, body: int, excess: float, pair: _Pair,
+    roll: tuple[float, float, float],
+) -> None:  # fmt: skip
     """Add one interval. excess: heading change of the antennas minus integral of the turn rate, rad."""
     front, rear = 2 * body, 2 * body + 1
     heights = _arms(machine)
@@ -314,7 +321,7 @@ def _add_hitch_sample(
     state: ReceiverChecks,
     machine: Machine,
     pairs: list[_Pair | None],
-    rolls: list[tuple[float, float] | None],
+    rolls: list[tuple[float, float, float] | None],
 ) -> None:
     """Add the gap at the hitch: tractor's hitch minus implement's, to the right of the implement, m."""
     tractor, implement = pairs
@@ -332,13 +339,13 @@ def _add_hitch_sample(
             arm[2 * body + k] = across[body] * pair.shares[k] * heights[2 * body + k]
         arms.append(arm)
     both = [rolls[0], rolls[1]]
-    row = sum((arm * math.sin(roll) for arm, (roll, _) in zip(arms, both, strict=True)), np.zeros(5))
+    row = sum((arm * math.sin(roll) for arm, (roll, *_) in zip(arms, both, strict=True)), np.zeros(5))
     row[4] = 1.0
-    variance, noises = tractor.sd_hitch**2 + implement.sd_hitch**2, [noise for _, noise in both]
+    variance, noises = tractor.sd_hitch**2 + implement.sd_hitch**2, [noise for _, noise, _ in both]
     _add(state, row, arms, noises, gap, RECEIVER_CHECKS.hitch_samples_in_one * variance)
-    for body, (roll, noise) in enumerate(both):
-        state.rolls[body] += roll**2, noise
     state.hitch_samples += 1
+    for body, (roll, noise, apart) in enumerate(both):
+        state.rolls[body] += roll**2, noise, apart / state.hitch_samples
 
 
 def _add(

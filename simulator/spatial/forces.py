@@ -30,8 +30,10 @@ Array = NDArray[np.float64]
 
 TYRE_COLUMNS: Final = ("load", "along", "across", "slip", "deflection", "elevation", "camber", "power")
 """Of each tyre: N; N; N; rad; m; m; rad, leaning right of the ground's normal; W, done on the bodies."""
+GOVERNED_KG: Final = 9391.0  # kg
 GOVERNOR: Final = (60e3, 60e3)  # N s/m and N/m: proportional, integral; assumed: a transmission's
 DRIVE_LIMIT: Final = 40e3  # N, assumed: four tenths of a tractor's weight
+"""Of a tractor of GOVERNED_KG, and of others as their masses are: one for 9 t lifts the front of 3 t."""
 ROLLING_SPEED: Final = 0.1  # m/s: rolling resistance changes its sign over this range of speed
 
 
@@ -53,6 +55,7 @@ class TyreSet(NamedTuple):
     rolling: float
     combined: bool
     ackermann: float  # half the front track over the wheelbase, times its share
+    governor: float  # times GOVERNOR and DRIVE_LIMIT
 
 
 def tyres_of(vehicle: Vehicle) -> TyreSet:
@@ -79,6 +82,7 @@ def tyres_of(vehicle: Vehicle) -> TyreSet:
         vehicle.rolling,
         vehicle.combined,
         vehicle.ackermann * vehicle.track[0] / 2 / (m.a + m.b),
+        m.m_t / GOVERNED_KG,
     )
 
 
@@ -117,12 +121,13 @@ def forward_speed(place: Array, turn: Array, twist: Array, root: Array) -> float
 
 
 @kernel
-def govern(target_speed: float, forward: float, drive: Array, step: float) -> None:
+def govern(target_speed: float, forward: float, governor: float, drive: Array, step: float) -> None:
     """Drive force towards a speed, m/s. drive: N, and the integral of the speed error, m."""
     error = target_speed - forward
     integral = drive[1] + error * step
-    requested = GOVERNOR[0] * error + GOVERNOR[1] * integral
-    drive[0] = min(max(requested, -DRIVE_LIMIT), DRIVE_LIMIT)
+    requested = governor * (GOVERNOR[0] * error + GOVERNOR[1] * integral)
+    limit = governor * DRIVE_LIMIT
+    drive[0] = min(max(requested, -limit), limit)
     if requested == drive[0]:
         drive[1] = integral
 
@@ -150,7 +155,7 @@ def apply_forces(
     xfrc[:, :] = 0.0
     angles = steering_angles(tyres, delta)
     root = com[1]
-    govern(target_speed, forward_speed(xpos[1], xmat[1], cvel[1], root), drive, step)
+    govern(target_speed, forward_speed(xpos[1], xmat[1], cvel[1], root), tyres.governor, drive, step)
     for k in range(6):
         b = tyres.body[k]
         turn = xmat[b]

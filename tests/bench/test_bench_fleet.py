@@ -6,6 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 import calibration
+import estimation_study
 import fleet
 import numpy as np
 import pytest
@@ -108,9 +109,11 @@ def test_harm_of_wrong_files_is_counted_and_the_number_is_named() -> None:
     rows = np.full((5, 13), np.nan)
     rows[1:, 1:7], rows[1:, 7:] = 0.41, 0.1
     rows[3, 1] = 0.1
-    assert fleet._harm(rows, np.zeros(6)) == (24, 23)
+    assert estimation_study.harm(rows, np.zeros(6)) == (24, 23)
     wrong = {fleet.wrong_number(k)[0] for k in range(len(HYPOTHESES))}
     assert len(wrong) == len(HYPOTHESES) and {"e", "m_t", "I_t"} <= wrong
+    met = {(fleet.wrong_number(k)[0], cell_of(k).manoeuvre.name) for k in range(5 * len(wrong))}
+    assert len(met) == len(wrong) * len(MANOEUVRES)
     machine = parse_machine(owners_text(drawn(4)))
     for number in range(len(wrong)):
         assert fleet._with_wrong_number(machine, number) != machine
@@ -140,8 +143,6 @@ def test_wrong_files_of_the_fleet_start_from_their_owners() -> None:
     one = wrong_files.named("fleet-3")
     assert one.raw["tractor"]["mass"]["value"] != one.machine.tractor.mass.value
     assert one.scenario.soil.parameters == drawn(3).parameters
-    name, right = next(wrong_files.right_drives(of_the_fleet=True))
-    assert name.startswith("fleet-0") and right.raw["machine"]["name"] == "fleet-0"
     change = next(c for c in wrong_files.changes() if c.name == "tractor.a x 2")
     change.apply(one.raw)
     assert one.raw["tractor"]["a"]["value"] == pytest.approx(2 * drawn(3).tractor.a, abs=0.1)

@@ -307,21 +307,29 @@ def test_a_method_that_leaves_the_file_says_how_far_in_people_s_units(
 
 
 @pytest.mark.parametrize(
-    ("other", "accused"), [("none", True), ("silent", True), ("finds it", True), ("does not", False)]
-)
-def test_a_method_that_alone_leaves_the_file_has_lost_its_way(other: str, accused: bool) -> None:
+    ("other", "name", "rough", "accused"),
+    [
+        ("none", "I_t", False, True), ("silent", "I_t", False, True), ("finds it", "I_t", False, True),
+        ("does not", "I_t", False, False), ("finds it", "I_t", True, False), ("none", "I_t", True, False),
+        ("finds it", "pair_i", True, True),
+    ],
+)  # fmt: skip
+def test_a_method_that_alone_leaves_the_file_has_lost_its_way(
+    other: str, name: str, rough: bool, accused: bool
+) -> None:
     """It is withheld itself; the file is right where the other one gives numbers without that. In space on 2
-    cm `tracker` found 1.8 times the inertia of rig 719 of the fleet, `pem` 1.3 times."""
+    cm `tracker` found 1.8 times the inertia of rig 719 of the fleet, `pem` 1.3 times; of rig 1259 `tracker`
+    did while `pem` gave no number. What straight driving tells too, rough ground does not look like."""
     machine, state = demo_machine(), Consistency()
     loads = static_loads(rig_of(machine))
     six = estimate_of((*(5.0 * load for load in loads), 1.0, 1.0, 1.0))
-    found = replace(six, method="tracker", nuisances={"I_t": (math.log(1.8), 0.02)})
+    found = replace(six, method="tracker", nuisances={name: (math.log(1.8), 0.02)})
     consistency.check_estimate(state, machine, found)
     if other != "none":
         off = math.log(1.8 if other == "finds it" else 1.3)
-        consistency.check_estimate(state, machine, replace(six, nuisances={"I_t": (off, 0.02)}))
+        consistency.check_estimate(state, machine, replace(six, nuisances={name: (off, 0.02)}))
         state.given["pem"] = [other != "silent"] * 6
-    assert bool(consistency._by_methods(state)) == accused
+    assert bool(consistency._by_methods(state, rough)) == accused
     assert consistency.withheld(state, found).parameters[0].value is None
 
 
@@ -344,20 +352,27 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
 
 
 @pytest.mark.parametrize(
-    ("uneven", "fit", "accuses"), [(0.005, 1e3, True), (0.012, 1e3, False), (0.005, 1.0, False)]
-)
+    ("uneven", "off", "fit", "accuses"),
+    [
+        (0.005, "a", 1e3, True), (0.012, "a", 1e3, False), (0.005, "a", 1.0, False),
+        (0.012, "aside_i", 1e3, True),
+    ],
+)  # fmt: skip
 @pytest.mark.long
-def test_where_it_may_have_diverged_what_the_open_tracker_finds_accuses_no_file(
-    uneven: float, fit: float, accuses: bool
+def test_where_it_may_have_diverged_the_open_tracker_accuses_only_of_what_rows_tell_too(
+    uneven: float, off: str, fit: float, accuses: bool
 ) -> None:
     """On rough ground it begins again each time, and agrees with any file for a while; the file does not stay
-    confirmed for that. Where fits of whole windows (chi-square) find the file right, it is believed."""
+    confirmed for that, nor are numbers given again while it disagrees. Where fits of whole windows
+    (chi-square) find the file right, it is believed. Of receivers 60 cm aside it said so ten times in two
+    minutes on 2 cm, and nobody heard it."""
     machine = demo_machine()
     state, out = run(machine, frames())
     pose = next(one.value for one in reversed(out) if isinstance(one.value, Pose))
     n, poses = len(open_numbers.HYPOTHESES), 0
     tenth, ones = np.full(n, 0.1), np.ones(n)
-    far = open_numbers.Misfit(1e3, ones[1:], tenth[1:], ones, tenth, np.ones((6, n)))
+    found = 10.0 * np.eye(n)[open_numbers.NAMES.index(off)]
+    far = open_numbers.Misfit(1e3, found[:-1], tenth[1:], found, tenth, np.ones((6, n)))
     near = replace(far, total=0.0, off=0.0 * ones[1:], found=0.0 * ones)
 
     checks, accused = state.diagnosis.consistency, list[str]()
@@ -366,7 +381,7 @@ def test_where_it_may_have_diverged_what_the_open_tracker_finds_accuses_no_file(
     for _ in range(200):  # poses, 40 s
         poses += 1
         evidence = OpenEvidence(
-            far if poses > 20 else near, near, 100, 0.0, uneven > open_tracker.OPEN_TRACKER.rough
+            far if poses > 20 else near, near, poses, 0.0, uneven > open_tracker.OPEN_TRACKER.rough
         )
         done = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
         accused += [kind for kind, _ in done.events]
