@@ -6,7 +6,7 @@ A log of the demo's traffic (800 frames/s: four receivers, wheel angle, and as m
 wants; with --own only the rig's) is recorded with its results, as the daemon does it, and read back in
 several ways. All ways run in turn; the best round of each counts. Times are of the processor, of all threads
 and processes: other programs that run beside it make them up to twice as long. Kernels are compiled before.
-An hour: --seconds 3600 --own --rounds 1. With --since only replays and fits, by the code of a commit and by
+Last come the first words of all commands. An hour: --seconds 3600 --own --rounds 1. With --since only replays and fits, by the code of a commit and by
 that of here in turn, each with its own log, and the ratio.
 """
 
@@ -28,6 +28,7 @@ from typing import Any
 
 from mcap.reader import make_reader
 
+from tilth.cli import COMMANDS
 from tilth.estimator.filters.likelihood import likelihood_at, search_of
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.states import DT
@@ -88,6 +89,7 @@ def main() -> None:
         times = measure(ways(path, machine, text, rows, Path(folder)), args.rounds)
         report(times, len(rows), per_s)
         of_a_fit(machine, rows)
+        first_words(Path(folder) / "one.mcap", machine, text, rows)
 
 
 def since(commit: str, seconds: float, rounds: int) -> None:
@@ -238,6 +240,24 @@ def of_a_fit(machine: Machine, rows: list[Frame]) -> None:
             f"fit of {len(job.record.ticks) * DT:.1f} s: {fit * 1e3:.0f} ms, {fit / run:.0f} runs of its "
             f"filter of {run * 1e3:.1f} ms"
         )
+
+
+def first_words(path: Path, machine: Machine, text: str, rows: list[Frame]) -> None:
+    """Until each command says its first word (`run`, `check` and `demo` say it before they import more), and
+    until a replay has its first frame, beside what reading any machine file takes."""
+    frames_alone(path, machine, text, rows[:1])
+    ours = {name: [name, "--help"] for name, _ in COMMANDS}
+    ours["replay of one frame"] = ["replay", str(path)]
+    programs = {name: ["-m", "tilth.cli", *words] for name, words in ours.items()}
+    programs["(import numpy, pydantic)"] = ["-c", "import numpy, pydantic"]
+    took = {
+        name: cpu_seconds(partial(subprocess.run, [sys.executable, *words], check=True, capture_output=True))
+        for name, words in programs.items()
+    }
+    least = took.pop("(import numpy, pydantic)")
+    for name, seconds in sorted(took.items(), key=lambda row: -row[1]):
+        aim = 1.5 if name == "replay of one frame" else 1.0
+        print(f"{name:38} {seconds:6.2f} s of {aim:g} s, {seconds / least:4.1f} times those imports")
 
 
 def cpu_seconds(way: Callable[[], object]) -> float:

@@ -3,8 +3,8 @@
 `python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it:
 the build of a wheel, the installer. With "-" it is the recorder's own process (logger/preparing.py): the
 machine comes in a line, what goes out are lines that say how far it is. Each has a second process beside it
-("fits"), on another core: what one has compiled the other finds on disk. That one begins with what only rows
-need, so that they don't both compile the rig's motion.
+("fits"), on another core: what one has compiled the other finds on disk. That one begins with the slopes by
+parameters and with what only rows need, so that they don't both compile the rig's motion.
 """
 
 import contextlib

@@ -4,7 +4,8 @@ import ast
 import io
 import tokenize
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -53,8 +54,9 @@ def modules() -> dict[str, str]:
     return {str(path.relative_to(ROOT)): path.read_text() for path in paths if "_pb2" not in path.name}
 
 
-def classes(source: str) -> Iterable[str]:
-    return (node.name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef))
+@cache  # two tests read each source
+def classes(source: str) -> Sequence[str]:
+    return [node.name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)]
 
 
 def shared_names(sources: Mapping[str, str]) -> dict[str, list[str]]:
@@ -88,7 +90,7 @@ def unusual(sources: Mapping[str, str]) -> list[str]:
     used = {
         path: parts(source) | parts(Path(path).stem)
         for path, source in sources.items()
-        if "/generated/" not in path  # there published names of unknowns are symbols
+        if path.startswith("estimator/") and "/generated/" not in path  # published names there are symbols
     }
     return [
         f"{path}: {word}; say {instead}"

@@ -230,6 +230,18 @@ def rates_by_unknown(plant: Plant, out: Array) -> None:
                     out[X_ROLL + 2 + i, j] += part * motion.right_by_parameter[4 + i, k]
 
 
+@kernel
+def parameter_slopes(x: Array, w: Array, p: Array, motion: MotionRates) -> None:
+    """As `rates_by_parameter`."""
+    rates_by_parameter(x, w, p, motion)
+
+
+def rehearse() -> None:
+    """Compile the slopes by parameters alone: they take longest, and all filters need them."""
+    x, w, p = np.zeros(rolling.N_STATES), np.zeros(N_INPUTS), np.zeros(N_PARAMETERS)
+    parameter_slopes(x, w, p, empty_motion())
+
+
 @inner_kernel
 def find_middle(x: Array, ticks: Array, k: int, unknowns: Array, plant: Plant, step: Transition) -> None:
     """Fill step.middle, roughly x in the middle of EVERY ticks from tick k on."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.diagnosis.open_numbers import Misfit
-from tilth.estimator.filters import row_filter, steady_outputs, unknowns
+from tilth.estimator.filters import propagation, row_filter, steady_outputs, unknowns
 from tilth.estimator.methods import learned, pem, place, rows, steady_state, tracker, two_step
 from tilth.estimator.methods.learned import Learned
 from tilth.estimator.record.record import Segment
@@ -30,7 +30,7 @@ class Fitting:
     rehearse: Callable[[Machine], None]  # a fit of made-up data, which compiles what a fit needs
     adopt: Callable[[Any, Machine, Any, int], Estimate]  # (state, machine, result or None, t_ns)
     finish: Callable[[Any], None]  # (state): no driving follows, so that the present window is complete
-    rehearse_alone: Callable[[], None] = lambda: None  # compiles what of it no other method needs
+    rehearse_alone: Callable[[], None] = lambda: None  # compiles what no other process begins with
     of_file: Callable[[Any], tuple[Misfit, float] | None] = lambda made: None
     """(result): what it tells of the machine file, and s of driving that this is of; None: nothing."""
 
@@ -100,7 +100,15 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
-        fitting=Fitting(pem.PEM.latency_ns, pem.request_fit, pem.fit, pem.rehearse, pem.adopt, pem.finish),
+        fitting=Fitting(
+            pem.PEM.latency_ns,
+            pem.request_fit,
+            pem.fit,
+            pem.rehearse,
+            pem.adopt,
+            pem.finish,
+            propagation.rehearse,
+        ),
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_pem, learned.into_pem),
     ),
     Estimator(

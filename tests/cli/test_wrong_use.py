@@ -11,7 +11,7 @@ import pytest
 from logs import MACHINE_FILE, some_frames, write_mcap
 from loopback import PATIENCE_S
 
-from tilth.cli import COMMANDS, main
+from tilth.cli import COMMANDS, RECORDERS, main
 from tilth.schemas.invocation import command
 
 NOWHERE = "tcp/127.0.0.1:1"
@@ -83,6 +83,8 @@ def test_commands_start_without_what_few_of_them_need() -> None:
     """Each would take a third of a second or more before the first word."""
     names = [name for name, _ in COMMANDS]
     code = "import importlib, sys\n"
+    code += f"for name in {RECORDERS}: importlib.import_module(f'tilth.cli.{{name}}')\n"
+    code += "assert 'tilth.estimator.fold' not in sys.modules\n"
     code += f"for name in {names}: importlib.import_module(f'tilth.cli.{{name}}')\n"
     slow = {"asammdf", "llvmlite", "matplotlib", "numba", "pandas", "polars", "scipy.optimize", "scipy.stats"}
     code += f"print({slow | {'can', 'sympy'}} & set(sys.modules))"

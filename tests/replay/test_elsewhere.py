@@ -18,6 +18,7 @@ from tilth.simulator.traffic import simulate, traffic
 
 pytestmark = pytest.mark.skipif(software()["processor"] != "x86_64", reason="the disguises are of x86-64")
 FIELD_S = 160.0  # two fits of pem, and what follows
+WHOLE_FIELD_S = 1200.0
 ONE = "no fused multiply-add"  # the others by `-m long`, below
 
 
@@ -51,15 +52,22 @@ def test_elsewhere_what_is_missing_or_of_another_time_stays_a_difference(live: L
 
 
 @pytest.fixture(scope="module")
-def longer(tmp_path_factory: pytest.TempPathFactory) -> Live:
-    """With two fits. A millionth in the first was 0.6 % of C_af in the second before a replay went on from
-    what was logged."""
+def longer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Live:
+    """With fits. A millionth in the first was 0.6 % of C_af in the second before a replay went on from what
+    was logged."""
     scenario = parse_scenario((ROOT / "examples" / "scenarios" / "field_day.toml").read_text("utf-8"))
-    rows = list(traffic(MACHINE, drive(MACHINE, 1, FIELD_S, scenario)))
+    rows = list(traffic(MACHINE, drive(MACHINE, 1, request.param, scenario)))
     return record(tmp_path_factory.mktemp("longer"), rows, 1)
 
 
-@pytest.mark.long
+@pytest.mark.parametrize(
+    "longer",
+    [
+        pytest.param(FIELD_S, marks=pytest.mark.long),
+        pytest.param(WHOLE_FIELD_S, marks=pytest.mark.elsewhere),
+    ],
+    indirect=True,
+)
 @pytest.mark.parametrize("disguise", DISGUISES)
 def test_a_drive_with_fits_is_the_same_everywhere(longer: Live, disguise: str) -> None:
     status, found = verified(longer.parts[0], disguise)
