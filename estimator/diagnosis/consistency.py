@@ -122,7 +122,8 @@ def observe(
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
     """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
     found = findings.implausible_stiffness(machine, estimate)
-    limits = dict(zip(NAMES, CONSISTENCY.nuisance_sds * open_numbers.allowed(machine), strict=True))
+    sds = np.hypot(open_numbers.allowed(machine), [row.uneven_sd for row in open_numbers.OPEN])
+    limits = dict(zip(NAMES, CONSISTENCY.nuisance_sds * sds, strict=True))
     for name, (value, sd) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
             of = (name, estimate.method)

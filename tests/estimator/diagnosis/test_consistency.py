@@ -182,18 +182,7 @@ WRONG = {
 """What is wrong: (change of wrong_files, or path and m), a part of the reason. A sample of the bench."""
 
 
-ORDINARY = ("an antenna 0.8 m aside", "the wheels' sign", "the drawbar")
-
-
-@pytest.mark.long
-def test_twice_the_tractors_inertia_costs_no_number_and_does_no_harm() -> None:
-    """Uneven ground has inertias of right files look as far off: naming it had named these too."""
-    raw = wrong_files.packaged()
-    next(c for c in wrong_files.changes() if c.name == "tractor.yaw_inertia x 2").apply(raw)
-    state, out = run(parse_machine(text_of(raw)), frames())
-    assert contradictions(out) == []
-    assert_harmless(out)
-    assert sum(p.status is Status.ESTIMATED for p in state.estimates["recommended"].parameters) >= 5
+ORDINARY = ("an antenna 0.8 m aside", "the wheels' sign", "the drawbar", "yaw inertia")
 
 
 @pytest.mark.parametrize("wrong", sampled(WRONG, ORDINARY))
@@ -296,7 +285,7 @@ def test_a_receiver_that_is_left_out_takes_along_what_was_found_of_its_place(
 @pytest.mark.parametrize(
     ("name", "off", "words"),
     [
-        ("I_t", math.log(0.25), "tractor.yaw_inertia 0.24 to 0.26 times what the file says"),
+        ("I_t", math.log(0.2), "tractor.yaw_inertia 0.19 to 0.21 times what the file says"),
         ("wheel_gain", math.log(2.0), "reading of the wheels' angle 1.92 to 2.08 times"),
         ("wheel_zero", math.radians(30.0), "the wheels' zero off by 30.0 ±"),
         ("latency", 0.9, "a latency of 0.900 ± 0.039 s (95 %) beyond"),
