@@ -3,7 +3,8 @@
     python bench/copies.py [DRIVE …] [--copies NAME,…] [--out FILE]
 
 A DRIVE is `planar:SEED` or `spatial:SEED`, drawn as the rows of bench/spatial_logs.py are, with the packaged
-machine or that of `:MACHINE.toml` behind it, or LOG:MACHINE.toml. Its copies are the same frames
+machine or that of `:MACHINE.toml` behind it, `fleet:RIG` as of bench/fleet.py, or LOG:MACHINE.toml. Its
+copies are the same frames
 
 at LATITUDE   at another place on Earth, so that degrees are rounded otherwise (1e-7°, 3 mm rms)
 shifted       taken 3 ms later by the computer's clock
@@ -11,6 +12,8 @@ reordered     with frames of different senders that came within 2 ms of each oth
 
 and, to see where a difference enters, pem's fits of the drive itself are made again with noise of a rounding
 in its positions: windows, poses and all that is decided before a fit are then the same ("same windows").
+With --starts each of pem's windows is also fitted from so many points, its prior's mean and others that are
+drawn one prior sd of the six away: they must end in one place, or say that there are two.
 Deviations are from the median of the other copies, in sds as published.
 """
 
@@ -30,10 +33,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import spatial_logs
 from estimation_study import fitted_at_once, numbers
+from fleet_design import cell_of, scenario
 from numpy.typing import NDArray
 from pyproj import Transformer
 
 from tilth.estimator import fold
+from tilth.estimator.filters.rig_setup import rig_setup
+from tilth.estimator.filters.scoring import Posterior, maximise_posterior
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.record.record import EAST, KIND, NORTH, VALUE, Record
@@ -42,6 +48,8 @@ from tilth.schemas import can_id
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.fleet import drawn
+from tilth.simulator.fleet_files import owners_text, true_machine
 from tilth.simulator.noise import generator
 from tilth.simulator.scenario import Ground, Spatial
 from tilth.simulator.traffic import simulate
@@ -172,18 +180,23 @@ def copy_of(given: Sequence[Frame], name: str) -> list[Frame]:
 
 def drive_named(name: str) -> tuple[Machine, list[Frame]]:
     kind, _, rest = name.partition(":")
+    if kind == "fleet":
+        rig, cell = drawn(int(rest)), cell_of(int(rest))
+        asked, receivers = scenario(rig, cell), cell.manoeuvre.receivers
+        driven = simulate(true_machine(rig, receivers), rig.seed, asked.seconds, asked)
+        return parse_machine(owners_text(rig, receivers)), list(driven)
     if kind not in ("planar", "spatial"):
         return parse_machine(Path(rest).read_text(encoding="utf-8")), list(frames(Path(kind)))
     number, _, file = rest.partition(":")
     seed = int(number)
     source = spatial_logs.source_of(replace(spatial_logs.ROW["spatial_random"], seconds=SECONDS), seed)
-    machine, scenario = source.machine, source.scenario
+    machine, asked = source.machine, source.scenario
     if file:
         machine = parse_machine(Path(file).read_text(encoding="utf-8"))
     if kind == "planar":
         ground = Ground(roll_sd_deg=0.7, force_sd=0.015)
-        scenario = replace(scenario, plant="planar", ground=ground, spatial=Spatial())
-    return machine, list(simulate(machine, seed, SECONDS, scenario))
+        asked = replace(asked, plant="planar", ground=ground, spatial=Spatial())
+    return machine, list(simulate(machine, seed, SECONDS, asked))
 
 
 # Results.
@@ -299,6 +312,20 @@ def same_windows(machine: Machine, jobs: Sequence[pem.Job], seed: int) -> list[p
     return made
 
 
+def from_points(machine: Machine, jobs: Sequence[pem.Job], count: int) -> list[list[Posterior]]:
+    """Of each window, the ends of searches from so many points."""
+    made, setup = list[list[Posterior]](), rig_setup(machine)
+    for job in jobs:
+        known = pem.with_known_masses(job.covariance)
+        sds, ends = np.sqrt(np.diag(known)), list[Posterior]()
+        for seed in range(count):
+            start = job.mean.copy()
+            start[SIX] += min(seed, 1) * generator(seed, 3).standard_normal(6) * sds[SIX]
+            ends.append(maximise_posterior(job.record, setup, job.mean, known, start=start))
+        made.append(ends)
+    return made
+
+
 # What is printed.
 
 
@@ -358,6 +385,27 @@ def _tell(name: str, found: Summary, off: Array) -> None:
     print(f"  {name:24s} {share}, furthest {found.furthest:.2f} sd ({each}){differ}")
 
 
+def tell_points(ends: Sequence[Sequence[Posterior]]) -> Summary:
+    """Prints where searches from several points have ended; of all windows, those that say they are two
+    apart."""
+    off = list[float]()
+    for k, window in enumerate(ends):
+        if any(one.two_places for one in window):
+            print(f"  window {k}: says that there are two places")
+            continue
+        good = [one for one in window if one.converged]
+        logs = np.array([one.mean[SIX] for one in good]).reshape(-1, 6)
+        sds = np.array([np.sqrt(np.diag(one.covariance)[SIX]) for one in good]).reshape(-1, 6)
+        if len(good) < len(window):
+            print(f"  window {k}: {len(window) - len(good)} of {len(window)} searches did not converge")
+        if len(good) > 1:
+            made = deviations(logs, sds)
+            off += np.abs(made[np.isfinite(made)]).tolist()
+            _tell(f"window {k}, from points", summary_of(logs, sds), made)
+    within = float(np.mean(np.array(off) <= SPREAD_SD)) if off else 1.0
+    return Summary(within, max(off, default=0.0), len(off), 0)
+
+
 def flat_direction(off: Array) -> str:
     """Along which direction of the six, in sds, copies differ most; off: (k, 6) as `deviations`."""
     direction = np.linalg.svd(np.nan_to_num(off))[2][0]
@@ -369,9 +417,11 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("drives", nargs="*", default=["planar:1", "spatial:1"], metavar="DRIVE")
     parser.add_argument("--copies", default=",".join(USUAL), help="separated by commas (%(default)s)")
     parser.add_argument("--again", type=int, default=5, help="fits of the same windows (%(default)s)")
+    parser.add_argument("--starts", type=int, default=0, help="points from which windows are fitted")
     parser.add_argument("--out", type=Path, help="a line of JSON for each drive")
     args = parser.parse_args(words)
     found: list[dict[str, Summary]] = []
+    starts: list[Summary] = []
     for drive in args.drives:
         machine, given = drive_named(drive)
         copies, first_jobs = [], list[pem.Job]()
@@ -381,6 +431,8 @@ def main(words: Sequence[str] | None = None) -> None:
             first_jobs = first_jobs or jobs
         again = [same_windows(machine, first_jobs, seed) for seed in range(args.again)]
         found.append(tell(drive, copies, again))
+        if args.starts > 1:
+            starts.append(tell_points(from_points(machine, first_jobs, args.starts)))
         sys.stdout.flush()
         if args.out:
             with args.out.open("a", encoding="utf-8") as out:
@@ -389,6 +441,7 @@ def main(words: Sequence[str] | None = None) -> None:
     print("\nall drives")
     for name in (*METHODS, "pem, inside", "tracker, inside"):
         _total(name, [made[name] for made in found])
+    _total("from points", starts)
     _total("same windows", [s for made in found for n, s in made.items() if n.endswith("same windows")])
 
 

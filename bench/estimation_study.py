@@ -324,10 +324,14 @@ class Followed:
     over_mass: dict[str, tuple[float, float]]  # method -> error of log C_ai/m_i as given last, and its sd
 
 
-def followed(run: Driven, watch: Callable[[fold.State, Estimate], None] | None = None) -> Followed:
+def followed(
+    run: Driven,
+    watch: Callable[[fold.State, Estimate], None] | None = None,
+    state: fold.State | None = None,
+) -> Followed:
     """A run through the fold; each fit is there when it is due. watch: is told of each estimate as it is
-    published."""
-    state = fold.initial(run.machine)
+    published. state: that it begins from."""
+    state = state or fold.initial(run.machine)
     series: dict[str, list[list[float]]] = {}
     events, last, over_mass = [], dict[str, Estimate](), dict[str, tuple[float, float]]()
     true_log = float(run.logs[2]) - math.log(run.truth.rig.m_i)

@@ -32,9 +32,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"
 import uvicorn
 from stage import Monitor, Stage, drive, estimate, pose, status
 
+from tilth.monitor.addresses import listening_socket
 from tilth.monitor.daemon_data import Heard
 from tilth.monitor.json_safe import plain
-from tilth.monitor.server import FILES, listening_socket
+from tilth.monitor.server import FILES
 from tilth.monitor.view import View, installed_version
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.machine_toml import parse_machine

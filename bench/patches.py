@@ -131,7 +131,8 @@ class Watch:
         self._memory = SoilMemory([], np.ones(6))
         self._into = [at for end in asked.soil.changes for at in _into(end, run.truth, self._axles)]
         self.told: list[Array] = []  # (13,): time, six logarithms, their sds
-        self.ahead: list[list[float]] = []  # error and sd of the common factor, for each pass after the first
+        self.ahead: list[list[float]] = []
+        """Error and sd of the common factor, and the oracle's, for each pass after the first."""
 
     def __call__(self, state: fold.State, estimate: Estimate) -> None:
         memory = state.estimators["place"]
@@ -146,9 +147,16 @@ class Watch:
         self.told.append(np.concatenate([[at], mean, np.sqrt(np.diag(here.covariance))]))
         while len(self._into) > 1 and self._into[1] * STEP_S < at + AHEAD_S:
             now, there = round(at / STEP_S), self._into.pop(1)
-            said = memory.soil.at(memory.axles + self._axles[there] - self._axles[now])
-            off = memory.prior_mean[:AXLES] + said.mean[:AXLES] - np.log(self._run.truth.soil[there, :AXLES])
-            self.ahead.append([float(off.mean()), math.sqrt(said.covariance[:AXLES, :AXLES].mean())])
+            told: list[float] = []
+            for soil in (memory.soil, self._memory):
+                said = soil.at(memory.axles + self._axles[there] - self._axles[now])
+                off = (
+                    memory.prior_mean[:AXLES]
+                    + said.mean[:AXLES]
+                    - np.log(self._run.truth.soil[there, :AXLES])
+                )
+                told += [float(off.mean()), math.sqrt(said.covariance[:AXLES, :AXLES].mean())]
+            self.ahead.append(told)
 
 
 def _into(end: SoilChange, truth: Truth, axles: Array) -> list[int]:
@@ -213,13 +221,15 @@ def lines_of(made: Sequence[Result]) -> list[Line]:
 def _ahead(made: Sequence[Result]) -> Iterator[Line]:
     told = np.array([each for one in made for each in one["ahead"]])
     if len(told):
-        error, sd = np.abs(told).T
+        error, sd, error_oracle, sd_oracle = np.abs(told).T
         half = float(np.median(Z * sd))
         yield Line(
             f"wet end, {AHEAD_S:g} s ahead, {len(told)} passes after the first: half an interval of the "
             "common factor; median error", percents([half, float(np.median(error))], 0),
             "≤ 20 %", half <= AHEAD,
         )  # fmt: skip
+        oracle = [float(np.median(Z * sd_oracle)), float(np.median(error_oracle))]
+        yield Line("the same of the oracle", percents(oracle, 0))
         holds = float(np.mean(error < Z * sd))
         yield Line("wet end: intervals hold", percents([holds], 0), "≥ 92 %", holds >= HOLD)
 

@@ -5,6 +5,7 @@ With --json the answer goes to stdout and everything else to stderr.
 """
 
 import argparse
+import atexit
 import importlib
 import io
 import math
@@ -13,7 +14,7 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
@@ -75,6 +76,23 @@ class CommandFailed(Exception):
 
 REPORT_SUFFIXES = (".html", ".htm")
 RECORDERS = ("run", "check", "demo")  # they hold a bus open for long, and read no MF4
+
+
+def log_path(text: str) -> Path:
+    """The type of an argument that names a log. One on storage elsewhere, as s3://bucket/day.mcap, is copied
+    here for as long as the command runs."""
+    from tilth.replay.readers.log import ForeignLog
+    from tilth.replay.readers.remote import at_hand, is_remote
+
+    if not is_remote(text):
+        return Path(text)
+    copies = ExitStack()
+    try:
+        path = copies.enter_context(at_hand(text))
+    except ForeignLog as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    atexit.register(copies.close)
+    return path
 
 
 def duration(text: str) -> float:

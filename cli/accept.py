@@ -2,7 +2,7 @@
 
 import argparse
 
-from tilth.cli.daemon_order import add_options, ask
+from tilth.cli.daemon_order import add_options, order
 from tilth.schemas.proto import tilth_pb2 as pb
 
 
@@ -19,14 +19,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 
 def run(args: argparse.Namespace) -> int:
     """2 where no daemon answers or it refuses."""
-    if args.name is None:
-        answer = ask(args, "status")
-        status = pb.Status.FromString(answer.payload)
-        for moved in status.moved:
-            print(f"{' or '.join(moved.names)}: {moved.text}")
-        if not status.moved:
-            print(f"Nothing of {answer.by} has been found moved.")
-        return 0
-    answer = ask(args, "accept", args.name)
-    print(f"{answer.by}: {pb.Event.FromString(answer.payload).text}")
-    return 0
+    return order(args, "accept", args.name, _moved)
+
+
+def _moved(status: pb.Status, by: str) -> list[str]:
+    moved = [f"{' or '.join(one.names)}: {one.text}" for one in status.moved]
+    return moved or [f"Nothing of {by} has been found moved."]

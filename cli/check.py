@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tilth.cli import duration
-from tilth.logger.checks.check import check
-from tilth.logger.checks.finding import Level
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.rule_of_thumb import DRAWING
 
@@ -31,12 +29,19 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """1 where there is a problem."""
     machine = read_machine(args.machine).machine
+    from tilth.logger.can.bus_opening import check_interfaces
+
+    check_interfaces(machine)
+    if not args.json:
+        print(DRAWING, flush=True)
+    from tilth.logger.checks.check import check  # with the estimators, which take a second
+    from tilth.logger.checks.finding import Level
+
     findings = check(machine, args.log or Path(machine.log.folder), args.seconds)
     fine = all(finding.state is not Level.PROBLEM for finding in findings)
     if args.json:
         print(json.dumps({"ok": fine, "checks": [asdict(finding) for finding in findings]}))
     else:
-        print(DRAWING)
         for finding in findings:
             print(f"{finding.state.upper():8} {finding.what}: {finding.text}")
     return 0 if fine else 1

@@ -3,6 +3,7 @@
 import argparse
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from tilth.client.refusal import holder_of, try_key
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.invocation import command
 from tilth.schemas.machine import Zenoh
+from tilth.schemas.proto import tilth_pb2 as pb
 
 WAIT_S = 10.0  # a disk may stall for some seconds before it takes what is asked for
 
@@ -74,6 +76,21 @@ def ask(args: argparse.Namespace, key: str, payload: str = "") -> Answer:
             return Answer(by, reply.ok.payload.to_bytes())
         raise WrongUse(f"refused: {reply.err.payload.to_string() if reply.err else 'without a reason'}")
     raise WrongUse(f"no answer in {WAIT_S:.0f} s; look into the log before asking again")
+
+
+def order(
+    args: argparse.Namespace, key: str, text: str | None, told: Callable[[pb.Status, str], list[str]]
+) -> int:
+    """Give an order and print what became of it; without a text, print what a status tells. told: (status,
+    whose it is), its lines. Raises WrongUse, as `ask`."""
+    if text is not None:
+        answer = ask(args, key, text)
+        print(f"{answer.by}: {pb.Event.FromString(answer.payload).text}")
+        return 0
+    answer = ask(args, "status")
+    for line in told(pb.Status.FromString(answer.payload), answer.by):
+        print(line)
+    return 0
 
 
 def _replies(session: zenoh.Session, key: str, payload: str) -> list[zenoh.Reply]:

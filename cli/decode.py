@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from tilth.cli import add_bus_names, buses_of, say
+from tilth.cli import add_bus_names, buses_of, log_path, say
 from tilth.cli.decode_summary import CLAIM, Summary, name_text, short
 from tilth.cli.unread import tell_unread
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
@@ -83,7 +83,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         epilog=_decoded(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
+    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="read in the order given")
     parser.add_argument(
         "--machine",
         type=Path,

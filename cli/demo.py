@@ -9,31 +9,28 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from rich.console import Console
-
-from tilth.cli import WrongUse, duration, say
+from tilth.cli import WrongUse, check_folder, duration, say
 from tilth.cli.zenoh_options import add_host
 from tilth.logger.child import words_of
-from tilth.logger.display import Display
 from tilth.logger.job import Job, JobEnded
-from tilth.logger.status_line import LineDisplay, PlainDisplay
+from tilth.monitor.addresses import listening_socket
 from tilth.schemas.invocation import command
 from tilth.schemas.readable import reason_of
-from tilth.simulator.demo import (
-    SPATIAL,
-    Demo,
-    DemoError,
-    comparison_table,
-    reasons,
-    result,
-    run_demo,
-    truth_and_estimate,
-)
-from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
+if TYPE_CHECKING:  # with the estimators: what is wrong, and what is done, is said before they are there
+    from rich.console import Console
+
+    from tilth.logger.display import Display
+    from tilth.simulator.demo import Demo
 
 _say = partial(say, "demo")
+
+WHAT: Final = (
+    "a simulated tractor pulls an implement over a field; what its sensors say is recorded as on a real one",
+    "out of it is learned how firmly soil holds the tyres; first numbers come after some 15 s of driving",
+)
 
 STAYING_S: Final = 0.2  # between two looks whether the page is to stay
 
@@ -90,8 +87,17 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse("--fast and --from-change go with --guidance")
     if args.spatial:
         _check_spatial(args.guidance)
+    if args.log.exists():
+        check_folder(args.log)
     if args.fast:
         return _fast(args)
+    if not args.no_page:
+        _check_host(args.host)
+    for sentence in WHAT:
+        _say(sentence)
+    from tilth.logger.status_line import LineDisplay, PlainDisplay, soil_line
+    from tilth.simulator.demo import DemoError
+
     stopping = False
 
     def stop(signum: int, frame: FrameType | None) -> None:
@@ -101,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
     for signum in (signal.SIGINT, signal.SIGTERM):
         signal.signal(signum, stop)
     plain = args.json or not sys.stdout.isatty()
-    display = PlainDisplay(sys.stderr) if plain else LineDisplay()
+    display = PlainDisplay(sys.stderr, soil_line) if plain else LineDisplay()
     with contextlib.closing(_Page(args.host)) as page:
         watch = None if args.no_page else page.open
         drive = _guidance if args.guidance else _demo
@@ -122,10 +128,22 @@ def _check_spatial(guidance: bool) -> None:
     """Raises WrongUse."""
     if guidance:
         raise WrongUse("--guidance drives the planar tractor: leave out --spatial")
+    from tilth.simulator.spatial.engine import NotInstalled, check_installed
+
     try:
         check_installed()
     except NotInstalled as error:
         raise WrongUse(f"--spatial: {error}") from None
+
+
+def _check_host(host: str) -> None:
+    """Before a drive that nobody can watch. Raises WrongUse."""
+    try:
+        listening_socket(host, 0).close()
+    except OSError as error:
+        raise WrongUse(
+            f"--host {host}: {reason_of(error)}; give an address of this computer, or 0.0.0.0"
+        ) from None
 
 
 Stop = Callable[[], bool]
@@ -134,7 +152,9 @@ Tell = Callable[[], tuple[int, dict[str, object]]]
 """Says how it was, once the display is closed; the exit status, and what the page says."""
 
 
-def _demo(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) -> Tell:
+def _demo(args: argparse.Namespace, display: "Display", stop: Stop, watch: Watch) -> Tell:
+    from tilth.simulator.demo import SPATIAL, result, run_demo, truth_and_estimate
+
     scenario = SPATIAL if args.spatial else None
     demo = run_demo(args.seconds or 90.0, args.seed, args.log, display, stop, _say, watch, scenario)
 
@@ -152,6 +172,7 @@ def _demo(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) 
 def _fast(args: argparse.Namespace) -> int:
     """Both drives of the guidance demo without wires. 1 where that fails or is interrupted."""
     from tilth.adaptive_guidance.demo import FROM_CHANGE, WORK, run_lockstep, table
+    from tilth.simulator.demo import DemoError
 
     try:
         guided = run_lockstep(args.seed, args.log, _say, FROM_CHANGE if args.from_change else WORK)
@@ -163,13 +184,13 @@ def _fast(args: argparse.Namespace) -> int:
         return 1
     except OSError as error:
         raise WrongUse(f"--log {args.log}: {reason_of(error)}") from None
-    console = Console()
+    console = _console()
     console.print(table(guided))
     console.print(f"Figure: {guided.figure}", soft_wrap=True, highlight=False)
     return 0
 
 
-def _guidance(args: argparse.Namespace, display: Display, stop: Stop, watch: Watch) -> Tell:
+def _guidance(args: argparse.Namespace, display: "Display", stop: Stop, watch: Watch) -> Tell:
     """1 also where the steering refused commands."""
     # with matplotlib: only who asks pays for it
     from tilth.adaptive_guidance.demo import FROM_CHANGE, WORK, run_guidance, table
@@ -178,7 +199,7 @@ def _guidance(args: argparse.Namespace, display: Display, stop: Stop, watch: Wat
     guided = run_guidance(args.seed, args.log, display, stop, _say, watch, work)
 
     def tell() -> tuple[int, dict[str, object]]:
-        console = Console()
+        console = _console()
         console.print(table(guided))
         refused = guided.commands["refused"]
         for reason, count in refused.items():
@@ -244,8 +265,16 @@ def _next(log_files: Sequence[Path]) -> dict[str, object]:
     return {"files": files, "next": steps if files else steps[-1:]}
 
 
-def _tell(demo: Demo) -> None:
-    console = Console()
+def _console() -> "Console":
+    from rich.console import Console
+
+    return Console()
+
+
+def _tell(demo: "Demo") -> None:
+    from tilth.simulator.demo import comparison_table, reasons
+
+    console = _console()
     console.print(comparison_table(demo))
     for reason in reasons(demo):
         console.print(reason, highlight=False)

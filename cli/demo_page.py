@@ -18,25 +18,18 @@ from tilth.cli.recorded_runs import play
 from tilth.logger.child import words_of
 from tilth.logger.job import Job, JobEnded
 from tilth.logger.log.derived import REPORTS
-from tilth.monitor.addresses import EVERYWHERE, urls
+from tilth.monitor.addresses import EVERYWHERE, listening_socket, urls
 from tilth.monitor.daemon_data import DaemonData
 from tilth.monitor.first_drive import FirstDrive
-from tilth.monitor.server import listening_socket, serve
+from tilth.monitor.server import serve
 from tilth.monitor.view import OVER, View
-from tilth.schemas.readable import reason_of
 from tilth.simulator import first_drive
 
 PREFIX = "tilth"
 
 
 def main(endpoint: str, host: str) -> None:
-    try:
-        listener = listening_socket(host, 0)
-    except OSError as error:
-        sys.exit(
-            f"tilth demo: --host {host}: {reason_of(error)}; give an address of this computer, or 0.0.0.0"
-        )
-    with closing(listener), ExitStack() as stack:
+    with closing(listening_socket(host, 0)) as listener, ExitStack() as stack:
         daemon_data = DaemonData(endpoint, None, PREFIX, "", False)
         stack.callback(daemon_data.close)
         live = View(daemon_data, endpoint)

@@ -13,7 +13,7 @@ from tilth.analysis.export.export import SPREADSHEET_ROWS, Exported, ExportPlan,
 from tilth.analysis.export.files import FORMATS, ExportError, check_installed
 from tilth.analysis.export.naming import NAMES, UnknownChannel, choose
 from tilth.analysis.runs.run import Run
-from tilth.cli import WrongUse, add_bus_names, say, say_unusual
+from tilth.cli import WrongUse, add_bus_names, log_path, say, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, given_machine, runs_of
 from tilth.cli.progress_bar import bars
@@ -35,7 +35,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "programs are replayed first.",
         epilog=f"channels: {', '.join(NAMES)}",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="parts of a run become one")
+    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="parts of a run become one")
     parser.add_argument("--to", required=True, choices=tuple(FORMATS), help="what is written")
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the runs' folders")
     parser.add_argument(

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table as RichTable
@@ -16,7 +15,7 @@ from tilth.analysis.fit.result import FitAnswer, as_json
 from tilth.analysis.fit.summary import latex, rows_of, title_of, write_csv
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import KINDS
-from tilth.cli import WrongUse, add_bus_names, add_processes, say
+from tilth.cli import WrongUse, add_bus_names, add_processes, log_path, say
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import bars
@@ -30,7 +29,7 @@ _say = partial(say, "fit")
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser("fit", help="the parameters of each run in logs, and of all together")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG")
     add_machine(parser)
     add_segments(parser, "from A to B, seconds since the N-th run began (1); else marks, else what is found")
     parser.add_argument(

@@ -1,8 +1,10 @@
-"""`tilth implement`: which implement is hitched on."""
+"""`tilth implement`: which implement is hitched on, and what it carries."""
 
 import argparse
 
-from tilth.cli.daemon_order import add_options, ask
+from tilth.cli import WrongUse
+from tilth.cli.daemon_order import add_options, order
+from tilth.logger.fold_orders import LOAD
 from tilth.logger.hitched import KEY
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -10,24 +12,36 @@ from tilth.schemas.proto import tilth_pb2 as pb
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "implement",
-        help="say which implement is hitched on",
+        help="say which implement is hitched on, or what it carries",
         description="Say to the daemon that runs which implement is hitched on: its run ends, and one with "
-        "that implement begins. Without a NAME, say which there are.",
+        "that implement begins. Or say what it carries. Without either, say what is known.",
     )
     parser.add_argument("name", metavar="NAME", nargs="?", help="as [implement] name in its file")
+    parser.add_argument(
+        "--load", metavar="LOAD", help='full, half, empty, unknown, or a mass with its unit, such as "6.2 t"'
+    )
     add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """2 where no daemon answers or it refuses."""
-    if args.name is not None:
-        answer = ask(args, KEY, args.name)
-        print(f"{answer.by}: {pb.Event.FromString(answer.payload).text}")
-        return 0
-    answer = ask(args, "status")
-    status = pb.Status.FromString(answer.payload)
-    if not status.implements:
-        print(f"{answer.by} has one implement{': ' if status.implement else ''}{status.implement}.")
-    for name in status.implements:
-        print(f"{name}  (hitched on)" if name == status.implement else name)
-    return 0
+    if args.name is None:
+        return order(args, LOAD, args.load, _known)
+    if args.load is not None:
+        raise WrongUse(f"first `tilth implement {args.name}`, and the load when its run has begun")
+    return order(args, KEY, args.name, _known)
+
+
+def _known(status: pb.Status, by: str) -> list[str]:
+    lines = [f"{name}  (hitched on)" if name == status.implement else name for name in status.implements]
+    lines = lines or [f"{by} has one implement{': ' if status.implement else ''}{status.implement}."]
+    if status.HasField("load"):
+        lines.append(f"{_carries(status.load)} It is full with {status.full_load / 1e3:.1f} t.")
+    return lines
+
+
+def _carries(load: pb.Carried) -> str:
+    if load.source == "nobody":
+        return "Nobody has said what it carries."
+    said = "a scale" if load.source == "scale" else "the operator"
+    return f"It carries {load.mass / 1e3:.1f} t ± {load.sd / 1e3:.1f} t, as {said} has said."

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tilth.analysis.season.field_map import MappedField
     from tilth.analysis.season.kept_table import RigStretches
 
-ENDINGS = (".geojson", ".parquet", ".png", ".html")
+ENDINGS = (".geojson", ".parquet", ".png", ".html", ".json")
 _say = partial(say, "map")
 
 
@@ -31,7 +31,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         type=Path,
         required=True,
         metavar="FILE",
-        help=f"a new file that ends in {', '.join(ENDINGS)}",
+        help=f"a new file that ends in {', '.join(ENDINGS)}; the last is for [estimation] field_map",
     )
     parser.add_argument("--machine", metavar="NAME", help="of several machines")
     parser.add_argument("--implement", metavar="NAME", help="of several implements; how its name begins")
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
             parts = list(enumerate(fields_of(rig.stretches), 1))
             if args.field is not None and args.field > len(parts):
                 raise WrongUse(f"--field {args.field}: there is {len(parts)}")
-            if ending == ".png" and args.field is None and len(parts) > 1:
-                raise WrongUse(f"a picture is of one field, and there are {len(parts)}: give --field, 1 up")
+            if ending in (".png", ".json") and args.field is None and len(parts) > 1:
+                raise WrongUse(f"a {ending} is of one field, and there are {len(parts)}: give --field, 1 up")
             wanted = [part for part in parts if args.field in (None, part[0])]
             fields = [mapped(number, rig.machine, of, args.cell) for number, of in wanted]
         except (MapProblem, NoParquet) as error:
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(args: argparse.Namespace, ending: str, rig: "RigStretches", fields: list["MappedField"]) -> None:
-    from tilth.analysis.season.map_files import facts_of, write_geojson, write_geoparquet
+    from tilth.analysis.season.map_files import facts_of, write_geojson, write_geoparquet, write_prior
     from tilth.analysis.season.map_page import (
         write_page,
         write_picture,
@@ -85,6 +85,8 @@ def _write(args: argparse.Namespace, ending: str, rig: "RigStretches", fields: l
         write_geojson(args.out, features, facts)
     elif ending == ".parquet":
         write_geoparquet(args.out, features, facts)
+    elif ending == ".json":
+        write_prior(args.out, rig.machine, fields[0])
     elif ending == ".png":
         write_picture(args.out, fields[0])
     else:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from tilth.cli import WrongUse, add_bus_names
 from tilth.cli.zenoh_options import add_address, add_daemon, check_address, say_who_reaches
-from tilth.monitor.addresses import urls
+from tilth.monitor.addresses import listening_socket, urls
 from tilth.monitor.daemon_data import DaemonData
-from tilth.monitor.server import listening_socket, serve
+from tilth.monitor.server import serve
 from tilth.monitor.view import View
 
 PORT = 8117

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from tilth.analysis.report.wording import SAYS
 from tilth.analysis.runs.nuisance_words import WORDS, nuisance_text
-from tilth.cli import WrongUse, add_bus_names, buses_of, say, say_unusual
+from tilth.cli import WrongUse, add_bus_names, buses_of, log_path, say, say_unusual
 from tilth.cli.log_errors import log_errors
 from tilth.cli.progress_bar import bars
 from tilth.cli.unread import who
@@ -46,7 +46,7 @@ _say = partial(say, "replay")
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser("replay", help="feed logs through the estimators again")
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="read in the order given")
+    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="read in the order given")
     parser.add_argument(
         "--machine", type=Path, metavar="M.toml",
         help="instead of the one in the log; needed where tilth did not write it",

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, cast
 from tilth.analysis.report.given import ALL, MOST_FITTED, given_segments
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment
-from tilth.cli import WrongUse, add_bus_names, as_given, at_least, check_folder, check_out, exists, say
+from tilth.cli import (
+    WrongUse,
+    add_bus_names,
+    as_given,
+    at_least,
+    check_folder,
+    check_out,
+    exists,
+    log_path,
+    say,
+)
 from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, add_segments, given_machine, runs_of
 from tilth.cli.progress_bar import Steps, bars
@@ -31,7 +41,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "JSON file beside it: the run at a glance, segments, parameters with their uncertainty, what is not "
         "determined, what differs from the machine file. Logs of a run become one part of the report.",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="of any kind that replay reads")
+    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="of any kind that replay reads")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.html", help="a new file")
     parser.add_argument("--pdf", action="store_true", help="FILE.pdf as well")
     parser.add_argument(

@@ -8,19 +8,15 @@ import sys
 from collections import deque
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from tilth.cli import WrongUse, duration
-from tilth.logger.daemon import run_daemon
-from tilth.logger.hitched import chosen
 from tilth.logger.machine_file import implement_of, read_machine, read_rigs
-from tilth.logger.outlets import Events
-from tilth.logger.run_summary import RunSummary
-from tilth.logger.status_line import PanelDisplay, PlainDisplay
-from tilth.logger.supervisor import of_environment
-from tilth.logger.zenoh.session import refusal
-from tilth.schemas.flow import EventKind
-from tilth.schemas.notices import in_words
 from tilth.schemas.plausible import unusual
+
+if TYPE_CHECKING:  # with the estimators: what is wrong with the machine file is said before they are there
+    from tilth.logger.outlets import Events
+    from tilth.logger.run_summary import RunSummary
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -48,6 +44,19 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
 def run(args: argparse.Namespace) -> int:
     """1 where frames were lost, not recorded, or none came at all."""
     rigs = read_rigs(args.machine)
+    from tilth.logger.can.bus_opening import check_interfaces
+
+    check_interfaces(next(iter(rigs.values())).machine)
+    with contextlib.suppress(OSError):
+        print(f"{args.machine}: starting", flush=True)
+    from tilth.logger.daemon import run_daemon
+    from tilth.logger.hitched import chosen
+    from tilth.logger.status_line import PanelDisplay, PlainDisplay
+    from tilth.logger.supervisor import of_environment
+    from tilth.logger.zenoh.session import refusal
+    from tilth.schemas.flow import EventKind
+    from tilth.schemas.notices import in_words
+
     events: Events = deque()
     folder = args.log or Path(next(iter(rigs.values())).machine.log.folder)
     named = implement_of(args.machine)
@@ -89,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     return 0 if summary.recorded == summary.frames > 0 and not (summary.lost or summary.faults) else 1
 
 
-def _last_words(summary: RunSummary) -> str:
+def _last_words(summary: "RunSummary") -> str:
     files = " ".join(str(path) for path in summary.log_files)
     words = [f"{summary.frames} frames, {summary.measurements} measurements, {summary.poses} poses"]
     if summary.lost:

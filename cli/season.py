@@ -15,6 +15,7 @@ from tilth.cli.log_errors import log_errors
 from tilth.cli.log_options import add_machine, given_machine
 from tilth.cli.parts_options import add_parts, parts_of
 from tilth.cli.progress_bar import bars
+from tilth.replay.readers.remote import is_remote
 from tilth.schemas.invocation import command
 
 _say = partial(say, "season")
@@ -29,7 +30,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "stretches (DIR/stretches.parquet) and a summary (DIR/season.html). What is done is not done again; "
         "the logs are only read.",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG", help="logs, and folders of logs")
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="logs, and folders of logs; also as s3://BUCKET/FOLDER"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the season's folder")
     parser.add_argument("--retry", action="store_true", help="runs that have failed once more")
     add_machine(parser, "of logs that hold none")
@@ -46,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out.exists() and not args.out.is_dir():
         raise WrongUse(f"--out {args.out}: is a file; give a folder, new or of the same season")
     for path in args.logs:
-        if not path.exists():
+        if not is_remote(path) and not Path(path).exists():
             raise WrongUse(f"{path}: is not there; give logs, or folders of logs")
     with log_errors(args.out, "what was finished is kept; give the same command again"):
         try:
@@ -60,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         if made.rows is not None:
             from tilth.analysis.season.page import write_summary  # matplotlib takes a second
 
-            write_summary(made, command("season", *map(str, args.logs), "--out", str(args.out)))
+            write_summary(made, command("season", *args.logs, "--out", str(args.out)))
             finish(made)
     return _tell(made, args.json)
 
@@ -79,7 +82,10 @@ def _tell(made: Season, as_json: bool) -> int:
         _say(f"nothing to do: {what} in {made.table}")
     else:
         _say(f"{what} in {made.table}, {made.computed} runs identified now; {made.out / SUMMARY} tells")
-    if made.inventory.left_out:
+    if not done["runs"]:
+        for path, why in made.inventory.left_out:
+            _say(f"{path}: {why}")
+    elif made.inventory.left_out:
         _say(f"{len(made.inventory.left_out)} files are not used; {SUMMARY} says why")
     if done["failed"]:
         _say(f"{done['failed']} runs failed; {SUMMARY} says why, --retry tries them again")

@@ -3,9 +3,8 @@
 import argparse
 import json
 from dataclasses import asdict, fields
-from pathlib import Path
 
-from tilth.cli import WrongUse
+from tilth.cli import WrongUse, log_path
 from tilth.logger.clock import DATED_NS, utc_text
 from tilth.replay.survey import Coverage, RunSurvey, survey
 from tilth.schemas.flow import EventKind
@@ -23,7 +22,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "frames that were dropped, steps of the computer's clock, damage, missing parts. Give the files of a "
         "run in order.",
     )
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG")
+    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG")
     parser.add_argument("--json", action="store_true", help="for programs")
 
 

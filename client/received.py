@@ -120,7 +120,10 @@ def _of_place(message: pb.SoilTireEstimate) -> SoilPlace | None:
     if not message.HasField("of_place"):
         return None
     at = message.of_place
-    return SoilPlace(at.latitude_deg, at.longitude_deg, at.radius_m, at.this_pass, at.neighbours, at.prior)
+    return SoilPlace(
+        at.latitude_deg, at.longitude_deg, at.radius_m, at.this_pass, at.neighbours, at.prior,
+        tuple(at.log_mean),
+    )  # fmt: skip
 
 
 def _own_steering(message: pb.SoilTireEstimate) -> OwnSteering | None:

@@ -35,6 +35,8 @@ COMMAND = "usr/local/bin/tilth"
 KEYS = "daemon.json"
 KERNELS = "var/cache/tilth"  # what numba has compiled; NUMBA_CACHE_DIR and CacheDirectory of the unit
 MACHINE = "etc/tilth/machine.toml"
+NEXT = "`tilth discover` drafts a machine file, `sudo tilth-setup machine FILE` takes it"
+WHEELS = Path(__file__).resolve().with_name("wheels")  # what the Debian package brings
 NOT_REMOVED = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
 
 
@@ -73,6 +75,10 @@ class Box:
         """Something that only a real computer has."""
         if not self.real:
             return True
+        if shutil.which(words[0]) is None:  # a container has no systemd
+            if fail:
+                raise Failed(f"there is no {words[0]} here; this takes a computer with systemd")
+            return False
         done = subprocess.run(words, check=False)
         if fail and done.returncode:
             raise Failed(f"{' '.join(words)}: exit status {done.returncode}")
@@ -80,17 +86,47 @@ class Box:
 
 
 def install(box: Box, args: argparse.Namespace) -> None:
-    """Install a release from a wheel and start the service. Raises Failed."""
+    """Install a release from a wheel, and start the service where there is a machine file. Raises Failed."""
     machine = box.at(MACHINE)
-    if not machine.exists() and args.machine is None:
-        raise Failed("say with --machine which rig this is; `tilth discover` drafts a machine file")
     beside = [] if args.machine is None else _files_beside(args.machine)
     release = _new_release(box, args.source, args.wheels)
+    told = args.machine or (machine if machine.exists() else None)
     try:
-        _check_machine(release, args.machine or machine)
+        if told is not None:
+            _check_machine(release, told)
     except Failed:
         shutil.rmtree(release)
         raise
+    if told is None:
+        _activate(box, release)
+        print(f"tilth {_version(release)} is installed. The recorder starts once it knows the rig: {NEXT}")
+        return
+    _take(box, args, beside)
+    _switch(box, release)
+
+
+def machine(box: Box, args: argparse.Namespace) -> None:
+    """Let what is installed record this rig. Raises Failed."""
+    release = box.release("current")
+    if release is None:
+        raise Failed("nothing is installed yet; say install, with --machine")
+    beside = _files_beside(args.machine)
+    _check_machine(release, args.machine)
+    place = box.at(MACHINE)
+    before = place.read_bytes() if place.exists() else None
+    _take(box, args, beside)
+    try:
+        _switch(box, release)
+    except Failed:
+        if before is not None:
+            place.write_bytes(before)
+            _start(box)
+        raise
+
+
+def _take(box: Box, args: argparse.Namespace, beside: Sequence[Path]) -> None:
+    """Put the machine file, what goes with it, and keys in their places."""
+    machine = box.at(MACHINE)
     if args.machine is not None:
         for file in beside:
             _put(file, machine.with_name(file.name))
@@ -99,7 +135,6 @@ def install(box: Box, args: argparse.Namespace) -> None:
         _put(args.keys, machine.with_name(KEYS), 0o640)
         if tomllib.loads(machine.read_text(encoding="utf-8-sig")).get("zenoh", {}).get("config") != KEYS:
             print(f'the keys are not used until {machine} says: [zenoh] config = "{KEYS}"')
-    _switch(box, release)
 
 
 def _files_beside(machine: Path) -> list[Path]:
@@ -290,7 +325,7 @@ def _switch(box: Box, release: Path) -> None:
     if before is not None and before != release:
         box.point("previous", before)
     if not _start(box):
-        if before is None:
+        if before in (None, release):
             raise Failed(f"it does not start; see journalctl -u {SERVICE}. Nothing was removed")
         _activate(box, before)
         box.point("previous", older or before)
@@ -379,6 +414,7 @@ def _version(release: Path) -> str:
 
 COMMANDS: tuple[tuple[str, Callable[[Box, argparse.Namespace], None], str], ...] = (
     ("install", install, "put it on this computer and start it, now and at each ignition"),
+    ("machine", machine, "record another rig, or this one by a corrected machine file"),
     ("upgrade", upgrade, "run another release; the one before stays for rollback"),
     ("rollback", rollback, "run the release before this one"),
     ("uninstall", uninstall, "remove it; logs, keys and machine file stay"),
@@ -395,10 +431,15 @@ def main(words: Sequence[str] | None = None) -> int:
     for name, _, text in COMMANDS:
         one = subparsers.add_parser(name, help=text)
         if name in ("install", "upgrade"):
-            one.add_argument("source", type=Path, help="a wheel, a folder of wheels, or a checkout")
+            brought: dict[str, Any] = {"nargs": "?", "default": WHEELS} if WHEELS.is_dir() else {}
+            help_text = "a wheel, a folder of wheels, or a checkout"
+            one.add_argument("source", type=Path, help=help_text, **brought)
             one.add_argument("--wheels", type=Path, help="folder with all that it needs: no network then")
         if name == "install":
             one.add_argument("--machine", type=Path, help="the machine file, in place of one that is there")
+        if name == "machine":
+            one.add_argument("machine", type=Path, help="the machine file, in place of one that is there")
+        if name in ("install", "machine"):
             one.add_argument("--keys", type=Path, help="daemon.json of `tilth keys`, for a shared network")
         if name == "adapter":
             one.add_argument("interface", help="as it is called now, such as can0")

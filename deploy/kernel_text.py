@@ -1,6 +1,8 @@
 """The text of kernels from equations in symbols. For development only."""
 
-from collections.abc import Iterable
+import ast
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import sympy as sp
@@ -35,7 +37,43 @@ def kernel(
 ) -> str:
     """Of a kernel with these lines. kind: of its decorator."""
     head = [f"@{kind}", f"def {name}({parameters}) -> {gives}:", f'    """{about}"""']
-    return "\n".join([*head, *lines]) + "\n"
+    return "\n".join([*head, *_once(lines)]) + "\n"
+
+
+def _once(lines: Iterable[str]) -> Iterator[str]:
+    """The same lines, where what occurs twice is computed once: equal to the last bit, and sooner compiled.
+
+    Each name is given a value once, before it is read.
+    """
+    statements = [ast.parse(line.strip()).body[0] for line in lines]
+    values = [one.value for one in statements if isinstance(one, (ast.Assign, ast.Return)) and one.value]
+    uses: Counter[str] = Counter()  # of an operation, as text: in how many different places it stands
+    seen: set[str] = set()
+    for value in values:
+        uses[ast.unparse(value)] += 1
+        for within in ast.walk(value):
+            if (whole := ast.unparse(within)) not in seen:
+                seen.add(whole)
+                uses.update(ast.unparse(part) for part in ast.iter_child_nodes(within))
+    names: dict[str, str] = {}
+    new: list[str] = []
+
+    class Named(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> ast.AST:
+            written = ast.unparse(node)
+            if not isinstance(node, (ast.BinOp, ast.Call)) or uses[written] < 2:
+                return super().generic_visit(node)
+            if written not in names:
+                computed = ast.unparse(self.generic_visit(node))  # what is within it gets its names first
+                names[written] = f"c{len(names)}"
+                new.append(f"    {names[written]} = {computed}")
+            return ast.Name(names[written])
+
+    for statement in statements:
+        line = ast.unparse(Named().visit(statement))
+        yield from new
+        new.clear()
+        yield f"    {line}"
 
 
 def readings(given: dict[str, str], steps: Iterable[Any]) -> list[str]:

@@ -26,7 +26,15 @@ MOST_SESSIONS: Final = 256
 mistake, and so few that the daemon has file handles left for its log."""
 DAYS: Final = 3 * 365
 # Keys that change something, not for readers.
-ORDERS: Final = ("mark", "accept", "implement", "report/make", "experiment/order", "calibration/order")
+ORDERS: Final = (
+    "mark",
+    "accept",
+    "implement",
+    "load",
+    "report/make",
+    "experiment/order",
+    "calibration/order",
+)
 # Of who prompts a driver, beside the daemon.
 PROMPTED: Final = ("experiment", "experiment/order", "calibration", "calibration/order")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")

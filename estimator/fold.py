@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from tilth.estimator import warm_start
+from tilth.estimator import implement_load, warm_start
 from tilth.estimator.diagnosis import diagnosis
 from tilth.estimator.diagnosis.accepted import acceptance, corrected
 from tilth.estimator.diagnosis.directive import Directive
@@ -20,6 +20,7 @@ from tilth.estimator.fits import pending as pending
 from tilth.estimator.fits import request_fits as request_fits
 from tilth.estimator.methods import open_tracker, pem, place, tracker
 from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
+from tilth.estimator.models.load import laden, of_nobody
 from tilth.estimator.pose import aligner, lateness, log_time, recognition
 from tilth.estimator.pose.body_frames import body_frames, drawing
 from tilth.estimator.pose.geometry import to_degrees
@@ -37,6 +38,7 @@ from tilth.schemas.channels import TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
     Accepted,
+    Carried,
     Estimate,
     Event,
     EventKind,
@@ -46,6 +48,7 @@ from tilth.schemas.flow import (
     Pose,
     Position,
     Publication,
+    Weight,
 )
 from tilth.schemas.identity import KnownAddress
 from tilth.schemas.machine import Machine
@@ -60,20 +63,24 @@ class FoldTuning:
     poses_per_drawing: int = tuned(
         20, "poses", "between two drawings, 4 s: viewers that come late soon have them"
     )
+    poses_per_place: int = tuned(5, "poses", "between two looks at the map of the field, 1 s")
 
 
 FOLD: Final = FoldTuning()
 
 
-def initial(machine: Machine, accepted: Sequence[Accepted] = ()) -> State:
-    """The state before the first frame. accepted: values in place of those of the machine file."""
-    machine = corrected(machine, accepted)
+def initial(machine: Machine, accepted: Sequence[Accepted] = (), carried: Carried | None = None) -> State:
+    """The state before the first frame. accepted: values in place of those of the machine file. carried: by
+    the implement, as far as somebody has said it."""
+    empty = corrected(machine, accepted)
+    carried = carried or of_nobody(empty, 0)
+    machine = laden(empty, carried)
     estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
     state = State(
-        machine, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
+        machine, empty, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
         open_tracker.initial(machine), estimators,
     )  # fmt: skip
-    state.accepted = list(accepted)
+    state.accepted, state.carried = list(accepted), carried
     state.estimates = estimates_now(state)
     return state
 
@@ -100,6 +107,17 @@ def resume(
     diagnosis.resumed(state.diagnosis, bool(state.previous_run))
     state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals
+
+
+def use_map(state: State, saved: SavedPosterior, elapsed_s: float, t_ns: int) -> Code | None:
+    """Before the first frame, after `resume`: what a season has told of a field, saved elapsed_s before t_ns.
+    Returns why it is not used, None where it is."""
+    fresh = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
+    refused = warm_start.resume(state.machine, fresh, {place.METHOD: saved}, elapsed_s, t_ns)[place.METHOD]
+    if refused is None:
+        place.add(state.estimators[place.METHOD], fresh[place.METHOD])
+        state.time.latest_ns = t_ns
+    return refused
 
 
 def carry(state: State, moved: Sequence[Moved]) -> None:
@@ -134,11 +152,16 @@ def estimates_now(state: State) -> dict[str, Estimate]:
     """Method -> its estimate at this moment, and the recommended one under "recommended"."""
     now = {
         row.method: diagnosis.withheld(
-            state.diagnosis, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)
+            state.diagnosis,
+            _now(state, row.estimate(state.estimators[row.method], state.machine, state.latest_ns)),
         )
         for row in rows_for(state.machine)
     }
     return {**now, RECOMMENDED: _recommended(state, now, state.latest_ns)}
+
+
+def _now(state: State, made: Estimate) -> Estimate:
+    return implement_load.known_now(state, state.latest_ns, made)
 
 
 def _recommended(state: State, estimates: Mapping[str, Estimate], t_ns: int) -> Estimate:
@@ -156,7 +179,7 @@ def estimate_at(state: State, x: float, y: float) -> Estimate:
     memory = state.estimators[place.METHOD]
     axles = place.axles_ahead(memory, state.machine, x, y)
     made = place.estimate_at(memory, state.machine, state.latest_ns, axles, list(memory.has_number))
-    return diagnosis.withheld(state.diagnosis, made)
+    return diagnosis.withheld(state.diagnosis, _now(state, made))
 
 
 def step(state: State, frame: Frame) -> list[Publication]:
@@ -257,6 +280,10 @@ def _take_measurement(state: State, t_ns: int, measurement: Measurement, out: li
         return False
     state.measurements += 1
     out.append(Publication(t_ns, TOPIC_OF[type(measurement)], measurement))
+    if isinstance(measurement, Weight):
+        if (weighed := implement_load.weigh(state, t_ns, measurement)) is not None:
+            out += carry_load(state, weighed)
+        return False
     aligner.take(state.aligner, measurement)
     if not isinstance(measurement, Position) or measurement.origin.mount is None:
         return False
@@ -296,7 +323,13 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     _apply(state, of_file, t_ns, out)
     if of_file.withhold and segment is not None:
         segment = replace(segment, follows=False, reason=Code.CONTRADICTED)
+    implement_load.walk(state, t_ns)
     estimates = []
+    if state.machine.estimation.field_map is not None and state.poses % FOLD.poses_per_place == 0:
+        memory = state.estimators[place.METHOD]
+        earlier = place.by_earlier_runs(memory)
+        if earlier is not None:
+            tracker.expect(state.estimators[tracker.METHOD], earlier, memory.map_ns)
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
         estimate = row.take(method_state, state.machine, pose, segment)
@@ -323,9 +356,11 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     pairs are far surer than the new value. Resumed, its tyres would take the error, or be given up as other
     soil. So the methods begin from the machine file's priors.
     """
-    out, t_ns, machine = list[Publication](), accepted.t_ns, corrected(state.machine, [accepted])
+    out, t_ns = list[Publication](), accepted.t_ns
+    empty = corrected(state.empty, [accepted])
     directive = diagnosis.accept(state.diagnosis, state.machine, accepted)
     state.accepted.append(accepted)
+    state.empty, machine = empty, laden(empty, state.carried)
     state.machine = machine
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
@@ -335,6 +370,27 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     _apply(state, directive, t_ns, out)
     _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(machine, accepted), out)
     return out
+
+
+def carry_load(state: State, carried: Carried) -> list[Publication]:
+    """Use what somebody has said of the implement's load; an operator's word the caller has logged."""
+    out = list[Publication]()
+    implement_load.use(state, carried)
+    _other_load(state, carried.t_ns, out)
+    _publish_event(state, carried.t_ns, EventKind.LOAD, implement_load.told(carried), out)
+    return out
+
+
+def _other_load(state: State, t_ns: int, out: list[Publication]) -> None:
+    """The rig is another one: poses and wheel angles so far are of the CG before."""
+    aligner.use(state.aligner, state.machine)
+    record_builder.clock_stepped(state.record)
+    state.previous_run = {}  # which was with the load before
+    if state.diagnosis.confirmed:
+        _apply(state, diagnosis.soil_changed(state.diagnosis), t_ns, out)
+    else:
+        state.open = open_tracker.initial(state.machine)
+    state.estimates = estimates_now(state)
 
 
 def _publish_event(state: State, t_ns: int, kind: str, told: Notice, out: list[Publication]) -> None:
@@ -349,6 +405,9 @@ def _publish_events(
     """Publish the events of a method since the last call. foreseen: whether the memory by place knew of a
     change of soil that a fit has found; None: ask it."""
     for kind, told in take_events(state.estimators[row.method]):
+        if kind == EventKind.LOAD:
+            implement_load.changed(state, t_ns)
+            _other_load(state, t_ns, out)
         if kind != EventKind.SOIL_CHANGE:
             _publish_event(state, t_ns, kind, told, out)
         elif state.diagnosis.confirmed:  # before that, the file may be the cause
@@ -368,7 +427,7 @@ def _expected(state: State, row: Estimator) -> bool:
 def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: list[Publication]) -> None:
     """Publish the estimates that are due at an instant, and then, once, the recommended one."""
     for estimate in estimates:
-        estimate = diagnosis.checked(state.diagnosis, state.machine, estimate)
+        estimate = diagnosis.checked(state.diagnosis, state.machine, _now(state, estimate))
         state.estimates[estimate.method] = estimate
         out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
     if not any(estimate.method in OFFERED for estimate in estimates):
@@ -387,12 +446,12 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if row.fitting is None:
         return out
     method_state = state.estimators[method]
-    foreseen = False
+    foreseen, learners = False, []
     if made is not None and method_state.job is not None:
-        for other in rows_for(state.machine):
-            if other.learn is not None:
-                foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
-                _publish_events(state, t_ns, other, out, foreseen=False)
+        learners = [other for other in rows_for(state.machine) if other.learn is not None]
+        for other in learners:
+            assert other.learn is not None
+            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
         of_file = row.fitting.of_file(made)
         if of_file is not None:
             diagnosis.fit_tells(state.diagnosis, method, *of_file)
@@ -400,7 +459,14 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     if learns:
         diagnosis.windows_tell(state.diagnosis, open_tracker.of_windows(state.machine, method_state))
+    machine, by_load = state.machine, any(kind == EventKind.LOAD for kind, _ in method_state.events)
+    for other in learners:
+        events = state.estimators[other.method].events
+        events[:] = [] if by_load else implement_load.in_doubt(state, events)
+        _publish_events(state, t_ns, other, out, foreseen=False)
     _publish_events(state, t_ns, row, out, foreseen)
+    if state.machine is not machine:
+        estimate = row.estimate(state.estimators[row.method], state.machine, t_ns)
     _publish_estimates(state, t_ns, [estimate], out)
     return out
 

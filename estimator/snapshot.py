@@ -10,9 +10,10 @@ from typing import Any, Final
 from tilth.estimator.diagnosis.accepted import corrected
 from tilth.estimator.fold import State, estimates_now
 from tilth.estimator.methods.estimators import rows_for
+from tilth.estimator.models.load import laden
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Accepted
+from tilth.schemas.flow import Accepted, Carried
 from tilth.schemas.machine import Machine
 
 VERSION: Final = 29
@@ -36,8 +37,9 @@ def restore(machine: Machine, text: str) -> State:
         raise NotRestorable(other)
     del raw["version"]
     try:
-        machine = corrected(machine, from_json_data(list[Accepted], raw["accepted"]))
-        given = {"machine": machine, "decoder": _decoder_of(machine, raw.pop("decoder"))}
+        empty = corrected(machine, from_json_data(list[Accepted], raw["accepted"]))
+        machine = laden(empty, from_json_data(Carried | None, raw["carried"]))
+        given = {"machine": machine, "empty": empty, "decoder": _decoder_of(machine, raw.pop("decoder"))}
         state: State = from_json_data(State, raw, given)
         stored = state.estimators  # a method that was not enabled then starts new
         state.estimators = {

@@ -13,16 +13,25 @@ from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import NOT_STORED
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Accepted, Estimate, Flag
+from tilth.schemas.flow import Accepted, Carried, Estimate, Flag
 from tilth.schemas.machine import Machine
 from tilth.schemas.rejections import Rejection
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleWord:
+    """What a scale says, averaged over seconds."""
+
+    t_ns: int
+    mass: float  # kg, of what the implement carries
 
 
 @dataclass(slots=True)
 class State:
     """The whole state of the fold. `step` changes it in place; nothing else does."""
 
-    machine: Machine = field(metadata=NOT_STORED)
+    machine: Machine = field(metadata=NOT_STORED)  # with what its implement carries
+    empty: Machine = field(metadata=NOT_STORED)  # without
     decoder: Decoder = field(metadata=NOT_STORED)  # but in a form of its own
     aligner: Aligner
     record: RecordState
@@ -30,6 +39,9 @@ class State:
     estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
     diagnosis: RigDiagnosis = field(default_factory=RigDiagnosis)  # is the machine file right
     accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
+    carried: Carried | None = None  # by the implement; None where its file has no [implement.load]
+    scale: ScaleWord | None = None
+    walked_ns: int = 0  # until when it is counted in that a load may have changed that nobody weighs
     previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
     """Method -> what the run before had learned, from which this run has started."""
     previous_run_ns: int = 0  # when that run had saved them

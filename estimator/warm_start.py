@@ -88,8 +88,8 @@ def resume(
         fresh = row.memory.learned(method_state)
         refusal = refusals[row.method] = _refusal(row.memory, fresh, before)
         if refusal is None:
-            row.memory.resume(method_state, _faded(row.memory, fresh, before, elapsed_s))
             method_state.informed_ns = t_ns - round((before.age_s + elapsed_s) * 1e9)
+            row.memory.resume(method_state, _faded(row.memory, fresh, before, elapsed_s))
     return refusals
 
 
@@ -131,4 +131,4 @@ def _faded(memory: Memory, fresh: Learned, saved: SavedPosterior, elapsed_s: flo
     new_mean, new = prior_mean.copy(), prior.copy()
     new_mean[active] = faded @ vector
     new[block] = (faded + faded.T) / 2.0
-    return Learned(new_mean, new, saved.counts, saved.soil and saved.soil.faded(share))
+    return Learned(new_mean, new, saved.counts, saved.soil)

@@ -13,13 +13,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tilth.estimator.fold import RECOMMENDED
-from tilth.logger.accept_log import AcceptLog
 from tilth.logger.address_memory import AddressMemory
 from tilth.logger.can.bus_opening import open_port
 from tilth.logger.can.buses import Buses
 from tilth.logger.can.port_threads import Opener
 from tilth.logger.clock import Clock
 from tilth.logger.display import Display, NoDisplay
+from tilth.logger.fold_orders import of_accepting, of_loads
 from tilth.logger.hitched import Hitched, Rigs
 from tilth.logger.keeping import Keeping
 from tilth.logger.live_estimation import LiveEstimation
@@ -97,8 +97,8 @@ class Daemon:
         run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
         self.parts = RunParts(
             clock, supervisor, estimation, buses, outlets, MarkLog(fold, clock, outlets),
-            AcceptLog(fold, clock, outlets), Hitched(rigs, machine_file, folder, clock, outlets), run_report,
-            Sensors(machine), counts,
+            of_accepting(fold, clock, outlets), of_loads(fold, clock, outlets), Hitched(rigs, machine_file,
+            folder, clock, outlets), run_report, Sensors(machine), counts,
         )  # fmt: skip
         if not fold.ready:
             self._log_ready(estimation.preparing.text)
@@ -135,6 +135,7 @@ class Daemon:
         parts.outlets.put_events()
         parts.marks.turn()
         parts.accepts.turn()
+        parts.loads.turn()
         parts.hitched.turn()
         parts.run_report.turn()
         ended_ns = parts.clock.t_ns()
@@ -162,6 +163,7 @@ class Daemon:
             last.callback(parts.outlets.put_events)
             last.callback(parts.marks.turn)
             last.callback(parts.accepts.turn)
+            last.callback(parts.loads.turn)
             last.callback(parts.hitched.turn)
             last.callback(parts.outlets.recording.close)
             last.callback(parts.run_report.close)

@@ -10,6 +10,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from tilth.estimator import implement_load
 from tilth.estimator.diagnosis import diagnosis, watch
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import (
@@ -18,6 +19,7 @@ from tilth.estimator.fold import (
     accept,
     adopt,
     carry,
+    carry_load,
     decide,
     estimate_at,
     finish,
@@ -28,6 +30,7 @@ from tilth.estimator.fold import (
     resume,
     save_learned,
     step,
+    use_map,
 )
 from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
@@ -40,6 +43,7 @@ from tilth.schemas.channels import CHANNELS, FIT_TOPIC, payload
 from tilth.schemas.flow import (
     PARAMETERS,
     Accepted,
+    Carried,
     Estimate,
     Event,
     EventKind,
@@ -56,6 +60,7 @@ from tilth.schemas.notices import reasoned
 from tilth.schemas.reasons import Code, Reason, text_reason
 from tilth.schemas.sentences import sentence
 
+FIELD_MAP = "field_map"
 GIVE_UP_NS = 300_000_000_000  # a fit that is so late is given up: what it learned would be stale
 PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must not cost a new start at each
 HearFit = Callable[[State, str, Any], None]
@@ -94,8 +99,9 @@ class GuardedFold:
         self._machine = machine
         self._fitter = fitter or InPlace(machine)
         self._hear_fit = hear_fit
-        if self.state.accepted:
-            self._fitter.use(self.state.machine)
+        self._rig = machine  # that the fitter knows
+        if self.state.machine is not machine:
+            self._use_rig()
         self._decided: list[tuple[FitOutcome, object]] = []  # outcomes to be used at the next frame
         for method, job, due_ns in pending(self.state):
             decided = self.state.estimators[method].decided
@@ -136,6 +142,21 @@ class GuardedFold:
         return list(self.state.accepted)
 
     @property
+    def empty(self) -> Machine:
+        """The rig, accepted values and all, without what its implement carries."""
+        return self.state.empty
+
+    @property
+    def full_load(self) -> float:
+        """kg that its implement carries when it is full; 0 where it carries nothing."""
+        load = self.state.empty.implement.load
+        return 0.0 if load is None else load.mass.value
+
+    def carried(self, t_ns: int) -> Carried | None:
+        """What its implement carries, as sure as that is at a time; None where it carries nothing."""
+        return implement_load.carried_now(self.state, t_ns)
+
+    @property
     def moved(self) -> list[tuple[list[str], str]]:
         """(names by which it may be accepted, what and by how much) of what has been found moved."""
         return [(list(one.of), sentence(one.reason)) for one in watch.found_now(self.state.diagnosis.watch)]
@@ -150,7 +171,22 @@ class GuardedFold:
             publications = accept(self.state, accepted)
         except Exception as error:  # the same edge as in `take`
             publications = self._start_anew(accepted.t_ns, error)
-        self._fitter.use(self.state.machine)
+        return self._with_another_rig(publications)
+
+    def carry_load(self, carried: Carried) -> list[tuple[Publication, bytes]]:
+        """Use what the operator has said of the implement's load, which the caller has logged."""
+        try:
+            publications = carry_load(self.state, carried)
+        except Exception as error:  # the same edge as in `take`
+            publications = self._start_anew(carried.t_ns, error)
+        return self._with_another_rig(publications)
+
+    def _use_rig(self) -> None:
+        self._rig = self.state.machine
+        self._fitter.use(self._rig)
+
+    def _with_another_rig(self, publications: list[Publication]) -> list[tuple[Publication, bytes]]:
+        self._use_rig()
         self._decided.clear()
         self._due_ns = self._first_due_ns()
         self.estimates = dict(self.state.estimates)
@@ -199,6 +235,10 @@ class GuardedFold:
                 publications = self._adopt(log_time.on_log_clock(self.state.time, frame).t_ns)
             poses = self.state.poses
             publications += step(self.state, frame)
+            if self.state.machine is not self._rig:  # a scale has told of another load
+                self._use_rig()
+                self._decided.clear()
+                self._due_ns = self._first_due_ns()
             if self.state.poses != poses:
                 self._ask(frame.t_ns)
             if self._due_ns is not None:
@@ -330,16 +370,23 @@ class GuardedFold:
         t_ns: int,
         accepted: Sequence[Accepted] = (),
         moved: Sequence[Moved] = (),
+        field_map: tuple[SavedPosterior, float] | None = None,
+        carried: Carried | None = None,
     ) -> dict[str, Reason | None]:
         """Before the first frame: start from what was learned elapsed_s ago. Method -> why not, or None.
 
-        accepted: by the operator in earlier runs. moved: found by them, and not accepted."""
+        accepted: by the operator in earlier runs. moved: found by them, and not accepted. field_map: what a
+        season has told of a field, and the seconds since; FIELD_MAP in what is returned. carried: by the
+        implement then, as sure as it was then."""
         try:
-            if accepted:
-                ready, self.state = self.state.ready, initial(self._machine, accepted)
+            if accepted or carried:
+                carried = implement_load.later(self._machine, carried, elapsed_s, t_ns)
+                ready, self.state = self.state.ready, initial(self._machine, accepted, carried)
                 self.state.ready = ready
-                self._fitter.use(self.state.machine)
+                self._use_rig()
             refusals = resume(self.state, learned, elapsed_s, t_ns)
+            if field_map is not None:
+                refusals[FIELD_MAP] = use_map(self.state, *field_map, t_ns)
             carry(self.state, moved)
         except Exception as error:  # the same edge: a run begins, whatever the file holds
             self.state = self._initial()
@@ -354,6 +401,7 @@ class GuardedFold:
         try:
             text = snapshot(self.state)
             self.state = restore(self._machine, text)
+            self._rig = self.state.machine  # the same, made anew
         except Exception:  # the same edge: beginning a log file must not end the run; `faults` is shown
             self._give_up()
             text = snapshot(self.state)
@@ -368,7 +416,7 @@ class GuardedFold:
         self._due_ns = None
 
     def _initial(self) -> State:
-        state = initial(self._machine, self.state.accepted)
+        state = initial(self._machine, self.state.accepted, self.state.carried)
         state.ready = self.state.ready
         carry(state, self.state.diagnosis.watch.moved)
         recall(state, self.known_addresses)  # nobody claims anew because of a fault here

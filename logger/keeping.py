@@ -45,10 +45,15 @@ class Keeping:
         standing, before = self._standing(), self._written
         self._written = standing
         if learned or standing != before or (moved and self._fold.contradicted):
-            text = warm_start_file.text_of(self._machine, learned, t_ns, accepted, moved)
+            text = warm_start_file.text_of(
+                self._machine, learned, t_ns, accepted, moved, self._fold.carried(t_ns)
+            )
             recording.on_disk_thread(lambda: whole_file.write(self._path, text.encode()))
 
-    def _standing(self) -> tuple[int, tuple[str, ...], bool]:
-        """What the next run has to know at once: values accepted, what has been moved, a contradiction."""
+    def _standing(self) -> tuple[int, tuple[str, ...], bool, float]:
+        """What the next run has to know at once: values accepted, what has been moved, a contradiction, kg
+        that
+        the implement carries."""
         moved = tuple(name for one in self._fold.unsettled for name in one.names)
-        return len(self._fold.accepted), moved, bool(self._fold.contradicted)
+        load = self._fold.carried(0)
+        return len(self._fold.accepted), moved, bool(self._fold.contradicted), load.mass if load else 0.0

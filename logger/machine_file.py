@@ -19,8 +19,8 @@ _LOG_STARTS = (b"\x89MCAP", b"LOGG", b"MDF ")  # MCAP, BLF, MDF4
 def read_machine(path: Path | str) -> MachineFile:
     """A machine file; of a tractor with several implements TRACTOR.toml+NAME, with one of them.
 
-    Relative wheel_angle.dbc, zenoh.config and implements.files count from the machine file's folder. Raises
-    MachineError in one sentence.
+    Relative wheel_angle.dbc, zenoh.config, estimation.field_map and implements.files count from the machine
+    file's folder. Raises MachineError in one sentence.
     """
     path, name = _parted(Path(path))
     rigs = read_rigs(path)
@@ -76,6 +76,9 @@ def _machine(path: Path, text: str, of: Path | None = None) -> MachineFile:
     if machine.zenoh.config is not None:
         zenoh = machine.zenoh.model_copy(update={"config": str(path.parent / machine.zenoh.config)})
         machine = machine.model_copy(update={"zenoh": zenoh})
+    if machine.estimation.field_map is not None:
+        at = {"field_map": str(path.parent / machine.estimation.field_map)}
+        machine = machine.model_copy(update={"estimation": machine.estimation.model_copy(update=at)})
     return MachineFile(machine, text)
 
 

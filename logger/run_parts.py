@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import zenoh
 
-from tilth.logger.accept_log import KEY as ACCEPT
-from tilth.logger.accept_log import AcceptLog
 from tilth.logger.can.buses import Buses
 from tilth.logger.clock import Clock
+from tilth.logger.fold_orders import ACCEPT, LOAD, FoldOrders
 from tilth.logger.hitched import KEY as IMPLEMENT
 from tilth.logger.hitched import Hitched
 from tilth.logger.live_estimation import LiveEstimation
@@ -21,6 +20,7 @@ from tilth.logger.run_summary import LoopCounts, RunSummary
 from tilth.logger.status import bus_status, health_of, log_status, problems_of, rejected
 from tilth.logger.supervisor import Supervisor
 from tilth.logger.zenoh.liveness import Sensors
+from tilth.schemas.channels import carried_message
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.rejections import Rejection
 
@@ -33,7 +33,8 @@ class RunParts:
     buses: Buses
     outlets: Outlets
     marks: MarkLog
-    accepts: AcceptLog
+    accepts: FoldOrders
+    loads: FoldOrders
     hitched: Hitched
     run_report: RunReport
     sensors: Sensors
@@ -45,6 +46,7 @@ class RunParts:
         return {
             MARK: self.marks.marks.take,
             ACCEPT: self.accepts.requests.take,
+            LOAD: self.loads.requests.take,
             IMPLEMENT: self.hitched.requests.take,
             **self.run_report.answers,
         }
@@ -72,6 +74,9 @@ def build_status(parts: RunParts, t_ns: int) -> pb.Status:
         implements=parts.hitched.rigs if len(parts.hitched.rigs) > 1 else [],
         moved=[pb.Moved(names=names, text=text) for names, text in estimation.fold.moved],
     )
+    if (load := estimation.fold.carried(t_ns)) is not None:
+        status.load.CopyFrom(carried_message(load))
+        status.full_load = estimation.fold.full_load
     log_status(status, recording)
     if estimation.worker.seconds is not None:
         status.fit_s = estimation.worker.seconds
@@ -88,6 +93,7 @@ def all_rejected(parts: RunParts) -> dict[str, int]:
         Rejection.STAMP: parts.clock.bad_stamps,
         Rejection.MARK: parts.marks.marks.refused,
         Rejection.ACCEPT: parts.accepts.requests.refused,
+        Rejection.LOAD: parts.loads.requests.refused,
         Rejection.IMPLEMENT: parts.hitched.requests.refused,
     }
     return rejected(parts.estimation.fold.rejected, parts.buses.live_buses, other)

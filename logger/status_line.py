@@ -4,7 +4,7 @@ The daemon's loop draws it, so nothing here may take long or wait.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TextIO
 
 from rich.columns import Columns
@@ -31,18 +31,22 @@ _COLOUR: Mapping[str, str] = {
     BusState.SILENT: "red", BusState.FAILED: "red", DeviceState.NO_DATA: "red", DeviceState.LOST: "red",
 }  # fmt: skip
 
+Line = Callable[[pb.Status, Estimate | None], str]
+
 
 class PlainDisplay:
     """A line at each event, and one each five seconds."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO, line: Line | None = None) -> None:
+        """line: of the state of the run (plain_line)."""
         self._stream = stream
+        self._line = line or plain_line
         self._next_ns = 0
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
         if status.t_ns >= self._next_ns and status.t_ns:
             self._next_ns = status.t_ns + PLAIN_NS
-            self._write(status.t_ns, plain_line(status, estimate))
+            self._write(status.t_ns, self._line(status, estimate))
 
     def event(self, event: Event) -> None:
         self._write(event.t_ns, f"{event.kind}: {event_sentence(event)}")
@@ -62,9 +66,8 @@ class LineDisplay:
         self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
 
     def show(self, status: pb.Status, estimate: Estimate | None) -> None:
-        line = f"… {preparing_text(status)}" if status.preparing else soil_line(status, estimate)
         self._live.start()  # only the first time does anything
-        self._live.update(Text(line, no_wrap=True, overflow="ellipsis"), refresh=True)
+        self._live.update(Text(soil_line(status, estimate), no_wrap=True, overflow="ellipsis"), refresh=True)
 
     def event(self, event: Event) -> None:
         return
@@ -117,11 +120,16 @@ def plain_line(status: pb.Status, estimate: Estimate | None) -> str:
 
 
 def soil_line(status: pb.Status, estimate: Estimate | None) -> str:
-    """What is learned, in one line, kN/rad."""
+    """What is learned, in one line, kN/rad; what is made ready, before anything is."""
+    if status.preparing:
+        return f"… {preparing_text(status)}"
     minutes, seconds = divmod(int(status.uptime_s), 60)
-    soil = ", ".join(f"{name} {stiffness_text(one, bare=True)}" for name, one in _stiffnesses(estimate))
-    problem = status.problems[0] if status.problems else ""
-    return f"{minutes}:{seconds:02d}  tyres, kN/rad (95 %): {soil}  {problem}"
+    stiffnesses = _stiffnesses(estimate)
+    soil = "driving; nothing is known of the tyres yet"
+    if any(one.value is not None for _, one in stiffnesses):
+        known = ", ".join(f"{name} {stiffness_text(one, bare=True)}" for name, one in stiffnesses)
+        soil = f"tyres, kN/rad (95 %): {known}"
+    return f"{minutes}:{seconds:02d}  {soil}" + (f"  {status.problems[0]}" if status.problems else "")
 
 
 def _times(count: int) -> str:

@@ -12,22 +12,29 @@ from typing import Any, Final, NamedTuple
 
 from tilth.estimator.diagnosis import watch
 from tilth.estimator.diagnosis.watch import Moved
+from tilth.estimator.methods import place
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.estimator.warm_start import SavedPosterior
+from tilth.logger.guarded_fold import FIELD_MAP
 from tilth.logger.log import whole_file
-from tilth.schemas.flow import Accepted, EventKind
+from tilth.schemas.flow import Accepted, Carried, EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, Report, notice, reasoned
 from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import notice_sentence
 
-FORMAT: Final = 4
+FORMAT: Final = 5
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
+SOILS: Final = SECTIONS[:3]  # of which a map of a field is
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
 Warm = Callable[
-    [Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved]], dict[str, Reason | None]
-]
+    [
+        Mapping[str, SavedPosterior], float, int, Sequence[Accepted], Sequence[Moved],
+        tuple[SavedPosterior, float] | None, Carried | None,
+    ],
+    dict[str, Reason | None],
+]  # fmt: skip
 """GuardedFold.warm."""
 
 
@@ -39,6 +46,7 @@ class KeptRun(NamedTuple):
     accepted: list[Accepted]  # in place of values of the machine file
     moved: list[Moved]  # found, and neither accepted nor put back
     told: list[Notice]  # the same
+    carried: Carried | None  # by the implement
 
 
 class NotUsable(Exception):
@@ -52,7 +60,7 @@ def path_of(folder: Path, machine: Machine) -> Path:
 
 def text_of(
     machine: Machine, learned: dict[str, SavedPosterior], utc_ns: int, accepted: Sequence[Accepted] = (),
-    moved: Sequence[Moved] = (),
+    moved: Sequence[Moved] = (), carried: Carried | None = None,
 ) -> str:  # fmt: skip
     """What is to be written. machine: as its file describes it, without what has been accepted."""
     plain = {
@@ -63,12 +71,14 @@ def text_of(
         "methods": to_json_data(learned),
         "accepted": to_json_data(list(accepted)),
         "moved": to_json_data(list(moved)),
+        "carried": to_json_data(carried),
     }
     return json.dumps(plain, indent=1)
 
 
-def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
-    """What was kept; None where nothing was. Raises NotUsable."""
+def read(path: Path, machine: Machine, utc_ns: int, sections: Sequence[str] = SECTIONS) -> KeptRun | None:
+    """What was kept of a machine as these sections of its file describe it; None where nothing was. Raises
+    NotUsable."""
     try:
         plain = json.loads(whole_file.read(path))
     except FileNotFoundError:
@@ -81,11 +91,12 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
         if plain["format"] != FORMAT:
             raise NotUsable(f"{path} is of another version of tilth")
         now, then = _digests(machine), plain["sections"]
-        changed = [name for name in SECTIONS if now[name] != then.get(name)]
+        changed = [name for name in sections if now[name] != then.get(name)]
         learned = from_json_data(dict[str, SavedPosterior], plain["methods"])
         elapsed_s = (utc_ns - _time_ns(plain["utc_ns"])) * 1e-9
         accepted = from_json_data(list[Accepted], plain.get("accepted", []))
         moved = [watch.carried(machine, m) for m in from_json_data(list[Moved], plain.get("moved", []))]
+        carried = from_json_data(Carried | None, plain.get("carried"))
         told = [reasoned(one.diagnosis.reason, NoticeCode.MOVED_EARLIER) for one in moved]
         for earlier in told:
             notice_sentence(earlier)  # what has no words is damaged
@@ -96,7 +107,9 @@ def read(path: Path, machine: Machine, utc_ns: int) -> KeptRun | None:
     if changed:
         parts = " and ".join(f"[{name}]" for name in changed)
         raise NotUsable(f"{parts} of the machine file changed since {path} was written")
-    return KeptRun(learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved, told)
+    return KeptRun(
+        learned, elapsed_s if elapsed_s >= 0.0 else CLOCK_IS_WRONG_S, accepted, moved, told, carried
+    )
 
 
 def _time_ns(told: int) -> int:
@@ -119,24 +132,45 @@ def _digests(machine: Machine) -> dict[str, str]:
 
 
 def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report) -> bool:
-    """Go on from what earlier runs have learned and say what became of it. Whether anything was used."""
-    try:
-        found = read(path, machine, t_ns)
-    except NotUsable as why_not:
-        report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
-        return False
+    """Go on from what earlier runs have learned, and a map of the field tells, and say what became of it.
+    Whether anything was used."""
+    found, field_map = _kept(path, machine, t_ns, SECTIONS, report), None
+    if machine.estimation.field_map is not None:
+        of_map = _kept(Path(machine.estimation.field_map), machine, t_ns, SOILS, report, needed=True)
+        if of_map is not None and place.METHOD in of_map.learned:
+            field_map = of_map.learned[place.METHOD], of_map.elapsed_s
     if found is None:
-        return False
-    refusals = warm(found.learned, found.elapsed_s, t_ns, found.accepted, found.moved)
-    used = [method for method, refusal in refusals.items() if refusal is None]
+        if field_map is None:
+            return False
+        found = KeptRun({}, 0.0, [], [], [], None)
+    refusals = warm(
+        found.learned, found.elapsed_s, t_ns, found.accepted, found.moved, field_map, found.carried
+    )
+    used = [method for method, refusal in refusals.items() if refusal is None and method in found.learned]
     for method, refusal in refusals.items():
         if refusal is not None:
             report(EventKind.WARM_START, reasoned(refusal, NoticeCode.METHOD_REFUSED, method=method))
     if used:
         resumed = notice(NoticeCode.RESUMED, methods=", ".join(used), hours=found.elapsed_s / 3600.0)
         report(EventKind.WARM_START, resumed)
+    if field_map is not None and refusals.get(FIELD_MAP) is None:
+        report(EventKind.WARM_START, notice(NoticeCode.FIELD_MAP, hours=field_map[1] / 3600.0))
     for one in found.accepted:
         report(EventKind.ACCEPTED, notice(NoticeCode.ACCEPTED_EARLIER, what=one.what))
     for earlier in found.told:
         report(EventKind.MOVED, earlier)
-    return bool(used or found.accepted or found.moved)
+    return bool(used or found.accepted or found.moved or field_map)
+
+
+def _kept(
+    path: Path, machine: Machine, t_ns: int, sections: Sequence[str], report: Report, needed: bool = False
+) -> KeptRun | None:
+    """What can be used; what cannot is told. needed: it should be there."""
+    try:
+        found = read(path, machine, t_ns, sections)
+        if found is None and needed:
+            raise NotUsable(f"{path} is not there; `tilth map` makes it")
+    except NotUsable as why_not:
+        report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
+        return None
+    return found

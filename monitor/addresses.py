@@ -1,4 +1,4 @@
-"""Where a server on this computer can be reached, for people who type it into a phone."""
+"""Where a server on this computer listens, and can be reached, for people who type it into a phone."""
 
 import fcntl
 import ipaddress
@@ -15,6 +15,20 @@ def urls(scheme: str, host: str, port: int) -> list[str]:
     """Of a server that listens there; where that is every address, one of each network of this computer."""
     hosts = (network_addresses() or ["127.0.0.1"]) if host in EVERYWHERE else [host]
     return [f"{scheme}://{f'[{one}]' if ':' in one else one}:{port}" for one in hosts]
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Raises OSError where the port is taken or the address is not of this computer."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen()  # from now on a browser is served, if not at once
+    except OSError:
+        listener.close()
+        raise
+    return listener
 
 
 def network_addresses() -> list[str]:

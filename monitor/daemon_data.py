@@ -155,6 +155,10 @@ class DaemonData:
         thread."""
         return self._log("implement", name)
 
+    def load(self, text: str) -> MarkAnswer:
+        """Say what the implement carries, and wait until that is in the log. Not in the loop's own thread."""
+        return self._log("load", text)
+
     def _log(self, key: str, text: str) -> MarkAnswer:
         if not self.base:
             return MarkAnswer(False, f"no daemon has been heard yet: the {key} is not in the log")

@@ -212,6 +212,7 @@ def _orders(daemon_data: DaemonData, asked: PageQuery) -> list[Route]:
         "/mark": _noted(daemon_data.mark),
         "/accept": _noted(daemon_data.accept),
         "/implement": _noted(daemon_data.implement),
+        "/load": _noted(daemon_data.load),
         "/player": _ordered(order_of, daemon_data.order),
         "/experiment": _ordered(_kind, daemon_data.experiment),
         "/calibration": _ordered(_kind, daemon_data.calibration),
@@ -334,20 +335,6 @@ async def _mark_text(request: Request) -> str:
     if size > MARK_BYTES:
         raise ValueError(f"this mark has {size} bytes; {MARK_BYTES} are the most")
     return " ".join(text.split())
-
-
-def listening_socket(host: str, port: int) -> socket.socket:
-    """Raises OSError where the port is taken or the address is not of this computer."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-        listener.listen()  # from now on a browser is served, if not at once
-    except OSError:
-        listener.close()
-        raise
-    return listener
 
 
 def _is_fault(record: logging.LogRecord) -> bool:

@@ -24,8 +24,10 @@ from tilth.schemas.channels import (
     ACCEPTED_TOPIC,
     ADDRESSES_TOPIC,
     FIT_TOPIC,
+    LOAD_TOPIC,
     READY_TOPIC,
     decode_addresses,
+    decode_carried,
     decode_outcome,
     payload,
 )
@@ -37,7 +39,7 @@ from tilth.schemas.proto.tilth_pb2 import Ready, Snapshot
 from tilth.schemas.sentences import event_sentence, notice_sentence
 
 LONGEST_WAIT_S = 5.0  # a longer gap in a log is not waited for
-INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, ADDRESSES_TOPIC})
+INPUTS = frozenset({FIT_TOPIC, READY_TOPIC, ACCEPTED_TOPIC, LOAD_TOPIC, ADDRESSES_TOPIC})
 """What enters the fold besides frames and stored states."""
 WITH_RESULTS = COMPARED | INPUTS
 PROGRESS_FRAMES = 4096  # frames between two looks of the progress bar
@@ -240,6 +242,8 @@ class _Run:
             self._ready(log, record)
         elif record.topic == ACCEPTED_TOPIC:
             self._accept(record)
+        elif record.topic == LOAD_TOPIC:
+            self._load(record)
         elif record.topic == ADDRESSES_TOPIC:
             self._recall(record, buses)
         else:
@@ -306,6 +310,12 @@ class _Run:
             self._outputs.writer.message(ACCEPTED_TOPIC, record.t_ns, record.data)
         accepted = Accepted(said.t_ns, said.what, tuple(said.amounts), tuple(said.sds))
         self._put(self._fold.accept(accepted))
+
+    def _load(self, record: Logged) -> None:
+        """Use what the operator said of the implement's load, as the daemon did."""
+        if self._outputs.writer is not None:
+            self._outputs.writer.message(LOAD_TOPIC, record.t_ns, record.data)
+        self._put(self._fold.carry_load(decode_carried(record.data)))
 
     def _put(self, publications: list[tuple[Publication, bytes]]) -> None:
         writer, publish = self._outputs.writer, self._outputs.publish

@@ -5,7 +5,7 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 from tilth.schemas.machine import Ballast, Implement, Machine, Tractor
@@ -30,19 +30,28 @@ def as_driven(machine: Machine) -> Machine:
     return _changed(machine, 1.0)
 
 
+def carrying(machine: Machine, mass: Quantity) -> Machine:
+    """A machine whose implement carries a mass, kg, in its [implement.load]. machine: where it is empty, with
+    ballast counted in."""
+    load = machine.implement.load
+    if load is None:
+        return machine
+    return _changed(machine, 1.0, {"implement": [load.model_copy(update={"mass": mass})]})
+
+
 def as_told(machine: Machine) -> Machine:
     """A machine file as it was read, of one with ballast counted in."""
     return _rounded(machine, _changed(machine, -1.0))
 
 
-def _changed(machine: Machine, sign: float) -> Machine:
-    """sign: 1 counts ballast in, -1 takes it out."""
+def _changed(machine: Machine, sign: float, of: Mapping[str, Sequence[Ballast]] | None = None) -> Machine:
+    """sign: 1 counts ballast in, -1 takes it out. of: by body; None: that of the file."""
     update: dict[str, object] = {}
     forward = {}
     for name, section in (("tractor", machine.tractor), ("implement", machine.implement)):
-        if section.ballast:
+        if ballast := section.ballast if of is None else of.get(name):
             old = _body(section)
-            new = _with(old, section.ballast, sign)
+            new = _with(old, ballast, sign)
             forward[name] = new.ahead - old.ahead
             update[name] = section.model_copy(update=_keys(section, new, forward[name]))
     if not update:

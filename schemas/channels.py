@@ -196,6 +196,17 @@ def _encode_accepted(accepted: flow.Accepted) -> bytes:
     ).SerializeToString()
 
 
+def carried_message(load: flow.Carried) -> pb.Carried:
+    """As it is logged, and told in the status."""
+    return pb.Carried(t_ns=load.t_ns, mass=load.mass, sd=load.sd, source=load.source)
+
+
+def decode_carried(data: bytes) -> flow.Carried:
+    """As logged. Raises protobuf's DecodeError, ValueError for a source that is not known."""
+    one = pb.Carried.FromString(data)
+    return flow.Carried(one.t_ns, one.mass, one.sd, flow.LoadSource(one.source))
+
+
 def encode_addresses(t_ns: int, known: Iterable[KnownAddress], machine_sha256: str) -> bytes:
     """Who has which address, for the head of a log file. machine_sha256: of whose machine file they are."""
     message = pb.Addresses(t_ns=t_ns, machine_sha256=machine_sha256)
@@ -276,6 +287,7 @@ KINDS: tuple[tuple[str, type[flow.Measurement]], ...] = (
     ("hand_wheel_angle", flow.HandWheelAngle),
     ("curvature", flow.Curvature),
     ("vehicle_speed", flow.VehicleSpeed),
+    ("weight", flow.Weight),
     ("address_claim", flow.AddressClaim),
 )
 
@@ -285,6 +297,7 @@ FIT_TOPIC = "/fit"
 READY_TOPIC = "/ready"
 ACCEPTED_TOPIC = "/accepted"
 ADDRESSES_TOPIC = "/addresses"
+LOAD_TOPIC = "/load"
 
 CHANNELS: tuple[Channel, ...] = (
     *(Channel(TOPIC_OF[kind], pb.Measurement, _measurement_encoder(kind)) for _, kind in KINDS),
@@ -305,6 +318,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
     Channel(ACCEPTED_TOPIC, pb.Accepted, _encode_accepted, identical=False),
+    Channel(LOAD_TOPIC, pb.Carried, lambda load: carried_message(load).SerializeToString(), identical=False),
     Channel(ADDRESSES_TOPIC, pb.Addresses, pb.Addresses.SerializeToString, identical=False),
     Channel("/event", pb.Event, _encode_event, key="event", identical=False),
     Channel("/status", pb.Status, pb.Status.SerializeToString, key="status", identical=False),

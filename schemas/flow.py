@@ -195,6 +195,14 @@ class VehicleSpeed(Measurement):
 
 
 @dataclass(frozen=True, slots=True)
+class Weight(Measurement):
+    """What a scale says of the implement, kg; one of both at least."""
+
+    whole_mass: float | None  # of the implement with all that it carries
+    carried_mass: float | None  # of what it carries
+
+
+@dataclass(frozen=True, slots=True)
 class AddressClaim(Measurement):
     """A device said which source address it uses; the NAME is origin.name."""
 
@@ -376,6 +384,9 @@ class SoilPlace:
     this_pass: float  # by what was driven since the rig last turned round
     neighbours: float  # by passes before
     prior: float  # by the machine file
+    log_mean: tuple[float, ...] = ()
+    """Of the six, N/rad and m, also where no number is given since it is too wide: for who weighs by
+    `log_covariance`. Empty while numbers are withheld."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,6 +429,7 @@ class EventKind(StrEnum):
     FIT = "fit"
     GAP = "gap"
     IMPLEMENT = "implement"  # another is hitched on
+    LOAD = "load"  # the implement carries more or less
     LOG = "log"
     MACHINE_FILE = "machine_file"  # says something unusual
     MARK = "mark"  # by the operator; the words are theirs
@@ -470,6 +482,24 @@ class Accepted:
     """By which it has been moved: forward and right, m; or one angle, rad; or m. Of wheel_speed the factor of
     the wheel-based speed as it is now, and as it was."""
     sds: tuple[float, ...]
+
+
+class LoadSource(StrEnum):
+    """Who says how much an implement carries."""
+
+    OPERATOR = "operator"
+    SCALE = "scale"
+    NOBODY = "nobody"  # nobody has: all that it can carry is possible
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """How much the implement carries; of an operator, used from the next frame on."""
+
+    t_ns: int
+    mass: float  # kg, without the empty implement's own
+    sd: float  # kg, when it was said
+    source: LoadSource
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,6 +72,7 @@ LIMITS: Final[Mapping[str, KeyLimits]] = {
     "implement.cg_sd": _spread(1.0, "m", 1e-3),
     "implement.pair_yaw_sd": _spread(10.0, "deg", 0.01),
     "implement.lever_sd": _spread(1.0, "m", 1e-3),
+    "implement.working_width": KeyLimits(0.0, 60.0, (0.0, 40.0), "m"),
     "ballast.mass": KeyLimits(0.0, 50e3, (0.0, 30e3), "kg"),
     "ballast.ahead_of_axle.sd": _spread(2.0, "m"),
     "ballast.height": KeyLimits(0.0, 5.0, (0.2, 3.0), "m"),

@@ -60,6 +60,23 @@ class Ballast(_Section):
     width: float = Field(default=0.0, ge=0, description="how wide it is, m")
 
 
+class Load(Ballast):
+    """What an implement carries and loses during the day: `mass` when it is full, 0 when it is empty. Mass,
+    CG
+    and inertia of [implement] are then those of the empty one, as the prior of its tyres is."""
+
+    exponent: Annotated[Quantity, quantity(0.1)] = Field(
+        default=Quantity(value=0.8, sd=0.15),
+        description="stiffness of tyres grows with their load to this power; a number alone is taken to 0.1",
+    )
+    lasts: float = Field(
+        default=600.0,
+        gt=0,
+        description="time in which it may become any other, where no scale tells it, s: a grain cart 600, a "
+        "sprayer 3600",
+    )
+
+
 class Tractor(_Section):
     """Distances from the tractor's CG, m (dissertation, Table 5.1)."""
 
@@ -146,6 +163,12 @@ class Implement(_Section):
         description="of how far forward the middle of its receivers is, m; else it follows from survey_sd",
     )
     ballast: list[Ballast] = Field(default=[], description="what mass, CG and yaw_inertia are without")
+    working_width: float = Field(
+        default=0.0, ge=0, description="of the ground that it works about its axle, m; 0: not told"
+    )
+    load: Load | None = Field(
+        default=None, description="what it carries and loses during the day; without it, its mass stays"
+    )
 
 
 class Tyre(_Section):
@@ -335,6 +358,11 @@ class Zenoh(_Section):
         description="true: it is meant that everybody on the network may read, mark and speak in the "
         "daemon's name, where listen, connect or config lets them in without keys",
     )
+    ros: bool = Field(
+        default=False,
+        description="true: also publish as a node of ROS 2, for rmw_zenoh; needs the package `tilth[ros]`",
+    )
+    ros_domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID of that node")
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -347,6 +375,10 @@ class Estimation(_Section):
     two_step: bool = Field(
         default=False,
         description="also fit by the dissertation's two steps, to compare with: costs half as much as pem",
+    )
+    field_map: str | None = Field(
+        default=None,
+        description="file of what a season has told of a field, by `tilth map`: a prior of place and tracker",
     )
 
 
@@ -413,6 +445,17 @@ class Machine(_Section):
                         f"{body}.ballast[{number}].mass = {value:g} kg: a mass is not below zero; what was "
                         f"taken off is left out, or taken off {body}.mass"
                     )
+        load = self.implement.load
+        if load is not None and load.mass.value <= 0:
+            raise ValueError(
+                f"implement.load.mass = {load.mass.value:g} kg: give what it carries when it is full, or "
+                "leave out [implement.load]"
+            )
+        if load is not None and not 0 <= load.exponent.value <= 1.2:
+            raise ValueError(
+                f"implement.load.exponent = {load.exponent.value:g}: from 0, a stiffness that does not grow "
+                "with the load, to 1.2; tyres have 0.6 to 1"
+            )
 
     def _receivers_apart(self) -> None:
         identities = [(r.bus, r.name, r.source) for r in self.receiver]

@@ -20,6 +20,7 @@ from tilth.schemas.flow import (
     UtcTime,
     VehicleSpeed,
     Velocity,
+    Weight,
     YawRate,
 )
 from tilth.schemas.identity import Deviation
@@ -105,6 +106,13 @@ def _vehicle_speed(head: Head, values: Values, sd: Any, repeat: bool) -> Made:
     return None if speed is None else VehicleSpeed(*head, speed, values.get("direction"))
 
 
+def _weight(head: Head, values: Values, sd: Any, repeat: bool) -> Made:
+    whole, carried = values.get("whole_mass_kg"), values.get("carried_mass_kg")
+    if whole is None and carried is None:
+        return None
+    return Weight(*head, whole, carried) if whole != 0.0 else Rejection.OUT_OF_RANGE
+
+
 def _time_of(row: Pgn) -> Callable[..., Made]:
     # A message of parts (seconds in 0.25 s) is as fine as its finest one.
     finest = next((f for f in row.fields if f.key in ("second_s", "time_s")), None)
@@ -148,6 +156,7 @@ MAKERS: tuple[Maker, ...] = (
     Maker(frozenset({"hand_wheel_angle_rad"}), True, _plain(_hand_wheel)),
     Maker(frozenset({"curvature_per_m"}), True, _plain(_curvature)),
     Maker(frozenset({"speed_mps", "direction"}), True, _plain(_vehicle_speed)),
+    Maker(frozenset({"whole_mass_kg", "carried_mass_kg"}), True, _plain(_weight)),
 )
 
 

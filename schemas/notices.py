@@ -62,6 +62,9 @@ class NoticeCode(StrEnum):
     ACCEPTED = "accepted"
 
     # Estimators.
+    LOAD_TOLD = "load_told"
+    LOAD_CHANGED = "load_changed"
+    LOAD_OR_SOIL = "load_or_soil"
     SOIL_CHANGED = "soil_changed"
     SOIL_CHANGING = "soil_changing"
     STIFFNESSES_ANEW = "stiffnesses_anew"
@@ -106,6 +109,7 @@ class NoticeCode(StrEnum):
     REPORT_AT_OWN_PRIORITY = "report_at_own_priority"
     REPORT_MADE = "report_made"
     RESUMED = "resumed"
+    FIELD_MAP = "field_map"
     UNFINISHED = "unfinished"
     UNLOCKED = "unlocked"
 
@@ -144,6 +148,7 @@ OF_FOLD: Final = frozenset({
     NoticeCode.STANDS_STILL, NoticeCode.MOVES_AGAIN, NoticeCode.CONTRADICTED, NoticeCode.FITS_AGAIN,
     NoticeCode.MOVED, NoticeCode.MOVED_BACK, NoticeCode.TYRES_CHANGED, NoticeCode.TYRES_BACK,
     NoticeCode.ACCEPTED, NoticeCode.SOIL_CHANGED, NoticeCode.SOIL_CHANGING, NoticeCode.STIFFNESSES_ANEW,
+    NoticeCode.LOAD_TOLD, NoticeCode.LOAD_CHANGED, NoticeCode.LOAD_OR_SOIL,
 })  # fmt: skip
 """Of events that the fold makes: a replay of the same frames tells the same."""
 

@@ -194,6 +194,10 @@ PGNS: tuple[Pgn, ...] = (
         Field("speed_mps", 0, 16, 0.001),
         Field("direction", 56, 2, names=DIRECTION),
     )),
+    Pgn(65258, "Vehicle Weight", "j1939", 7, 1000, 8, "SAE J1939-71, SPN 180 and 181", (
+        Field("whole_mass_kg", 24, 16, 2.0),
+        Field("carried_mass_kg", 40, 16, 2.0),
+    )),
     Pgn(44032, "Guidance Machine Info", "j1939", 3, 100, 8, "ISO 11783-7; AgIsoStack", (
         Field("curvature_per_m", 0, 16, 0.25, -8032.0, 1e-3),
     )),

@@ -42,6 +42,7 @@ class Rejection(StrEnum):
     MARK = "mark"
     ACCEPT = "accept"
     IMPLEMENT = "implement"
+    LOAD = "load"
 
 
 def count(rejected: dict[str, int], reason: str, number: int = 1) -> None:

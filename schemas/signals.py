@@ -51,6 +51,8 @@ SIGNALS: dict[str, Signal] = {
     ),
     "command_status": Signal("", "of a guidance command: intended | not_intended to steer"),
     "direction": Signal("", "of travel: forward | reverse"),
+    "whole_mass_kg": Signal("kg", "of what is pulled, with all that it carries"),
+    "carried_mass_kg": Signal("kg", "of what it carries"),
     "utc_ns": Signal("ns", "since 1970, UTC"),
     "fix": Signal("", " | ".join(fix.value for fix in FixType)),
     "satellites": Signal("", "used in the solution"),

@@ -38,7 +38,8 @@ TOLERANCES: Final[dict[str, dict[str, float]]] = {
     "Reason": {"numbers": LEARNED},
     "Advice": dict.fromkeys(("log_sds", "speed", "seconds", "degrees", "after", "turn_after"), LEARNED),
     "SoilPlace": dict.fromkeys(
-        ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior"), LEARNED,
+        ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior", "log_mean"),
+        LEARNED,
     ),
     "Combination": {"exponents": LEARNED, "log_sd": LEARNED},
     "OwnSteering": {"share": LEARNED, "rms": LEARNED, "seconds": LEARNED},

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tilth.estimator.models.nonlinear import STATES
 from tilth.estimator.models.parameters import Rig, static_loads
 from tilth.schemas.flow import PARAMETERS
-from tilth.simulator.scenario import Ground, Soil, SoilChange
+from tilth.simulator.scenario import Ground, LoadChange, Soil, SoilChange
 
 Array = NDArray[np.float64]
 
@@ -129,15 +129,34 @@ class SoilField:
     changes: tuple[SoilChange, ...]
     patches: tuple[tuple[Waves, Array], ...]  # of all axles, and of each besides; along vectors (WAVES, 2)
     rig: Rig
+    loads: tuple[LoadChange, ...] = ()
 
     @property
     def uniform(self) -> bool:
-        return not self.changes and not self.patches
+        return not self.changes and not self.patches and not self.loads
+
+    def rig_at(self, t: float) -> Rig:
+        """With what the implement carries then, s."""
+        rig = self.rig
+        for change in self.loads:
+            factor = 1.0 + float(_begun(change, t)) * (change.mass - 1.0)
+            rig = rig._replace(m_i=rig.m_i * factor, I_i=rig.I_i * factor)
+        return rig
+
+    def _by_load(self, t: Array | float) -> Array:
+        """Of the logarithms of PARAMETERS, shape (..., 6)."""
+        log, before = np.zeros((*np.shape(t), len(PARAMETERS))), self.rig
+        for change in self.loads:
+            after = before._replace(m_i=before.m_i * change.mass)
+            grown = np.log(np.divide(static_loads(after), static_loads(before)))
+            log[..., :3] += change.exponent * np.multiply.outer(_begun(change, t), grown)
+            before = after
+        return log
 
     def at(self, t: Array | float, states: Array) -> Array:
         """Parameters under the axles, shape (..., 6). t: s, shape (...); states: (..., 13)."""
         axles = axles_of(self.rig, states)
-        log = np.zeros((*axles.shape[:-2], len(PARAMETERS)))
+        log = np.zeros((*axles.shape[:-2], len(PARAMETERS))) + self._by_load(t)
         for change in self.changes:
             factors = np.log([getattr(change, name) for name in PARAMETERS])
             log += share(change, t, axles)[..., AXLE_OF] * factors
@@ -146,6 +165,14 @@ class SoilField:
             angle = (axles[..., felt, :] @ direction.T) * wave.wavenumber + wave.phase
             log[..., felt] += wave.amplitude * np.cos(angle).sum(axis=-1)
         return np.asarray(self.theta * np.exp(log))
+
+
+def _begun(change: LoadChange, t: Array | float) -> Array:
+    """How much of a change there is, 0 to 1, shape of t, s."""
+    since = np.subtract(t, change.at_s)
+    return (
+        np.asarray(since >= 0.0, np.float64) if change.over == 0.0 else np.clip(since / change.over, 0.0, 1.0)
+    )
 
 
 def axles_of(rig: Rig, states: Array) -> Array:
@@ -172,7 +199,10 @@ def share(change: SoilChange, t: Array | float, axles: Array) -> Array:
     return np.asarray(np.clip(beyond / change.over, 0.0, 1.0))
 
 
-def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.Generator) -> SoilField:
+def field(
+    soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.Generator,
+    loads: tuple[LoadChange, ...] = (),
+) -> SoilField:  # fmt: skip
     """The soil of a scenario; `parameters`: the six before any change."""
     patches = []
     if soil.patch_log_sd > 0.0:
@@ -181,7 +211,7 @@ def field(soil: Soil, parameters: Mapping[str, float], rig: Rig, rng: np.random.
             wave, angle = waves(rng, part * soil.patch_log_sd, band), rng.uniform(0.0, np.pi, WAVES)
             patches.append((wave, np.column_stack([np.cos(angle), np.sin(angle) / soil.patch_across])))
     theta = np.array([parameters[name] for name in PARAMETERS])
-    return SoilField(theta, soil.changes, tuple(patches), rig)
+    return SoilField(theta, soil.changes, tuple(patches), rig, loads)
 
 
 def crossings(

@@ -18,11 +18,8 @@ from tilth.schemas.flow import FixType, Mount
 from tilth.schemas.machine import Machine, Receiver
 from tilth.simulator import noise as streams
 from tilth.simulator.noise import Array, gauss_markov, generator
-from tilth.simulator.scenario import STEP_S, Scenario, Wheel
+from tilth.simulator.scenario import ORIGIN_DEG, STEP_S, Scenario, Wheel
 from tilth.simulator.tractor import BodyTrack, Setting, Truth, leaning, rate
-
-ORIGIN_DEG: Final = (42.0267, -93.6465)
-"""Latitude and longitude of the truth's x = y = 0."""
 
 FIRST_EPOCH_S: Final = 0.5  # address claims, and 250 ms in which they may be contested, come first
 
@@ -122,7 +119,9 @@ class Receiving:
         at = _at(self._machine, truth, self.receiver, self.epochs[which], self._moved_m[which])
         noise, dx, dy = self._noise[:, which], self._off[0][which], self._off[1][which]
         north, east = at.forward_velocity + VELOCITY * noise[0], at.lateral_velocity + VELOCITY * noise[1]
-        longitude, latitude = plane().transform(at.y + dy, at.x + dx, direction="INVERSE")
+        longitude, latitude = plane(truth.scenario.origin_deg).transform(
+            at.y + dy, at.x + dx, direction="INVERSE"
+        )
         columns = (
             self.epochs[which],
             self._sent[which],
@@ -219,9 +218,9 @@ def _with_play(angle: Array, play: float, value: float) -> Array:
 
 
 @cache
-def plane() -> Transformer:
-    """From longitude and latitude, degrees, to metres east and north of ORIGIN_DEG."""
-    plane = f"+proj=tmerc +lat_0={ORIGIN_DEG[0]} +lon_0={ORIGIN_DEG[1]} +k=1 +ellps=WGS84 +units=m"
+def plane(origin_deg: tuple[float, float] = ORIGIN_DEG) -> Transformer:
+    """From longitude and latitude, degrees, to metres east and north of such a place."""
+    plane = f"+proj=tmerc +lat_0={origin_deg[0]} +lon_0={origin_deg[1]} +k=1 +ellps=WGS84 +units=m"
     return Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 
 

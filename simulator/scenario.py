@@ -25,6 +25,7 @@ class CannotBeDriven(ValueError):
     """The scenario asks too much of this machine; the text says what, and what to change."""
 
 
+ORIGIN_DEG: Final = (42.0267, -93.6465)  # latitude and longitude
 STEP_S: Final = 0.01  # between samples of a simulated run
 _CONFIG: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -241,6 +242,17 @@ class Soil:
     patch_length: Annotated[float, Field(ge=2, le=10_000)] = 40.0  # m, shortest wave of the patches
     patch_across: Annotated[float, Field(ge=0.1, le=10)] = 1.0  # their length to east over that to north
     patch_common: Share = 1.0  # correlation of the patches that different axles feel
+    patch_seed: Annotated[int, Field(ge=0)] | None = None  # of the field, on every day; None: the seed
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
+class LoadChange:
+    """The implement comes to carry more or less; its CG stays. Tyres follow their loads."""
+
+    at_s: NotNegative
+    mass: Factor  # on the implement's mass and yaw inertia
+    over: NotNegative = 0.0  # s that it takes; 0: at once
+    exponent: Annotated[float, Field(ge=0, le=1.2)] = 0.8  # of a stiffness, over its load
 
 
 # What a machine file does not say of the rig, for either plant.
@@ -381,6 +393,7 @@ class Scenario:
     )  # of tractor and implement, right side down
     ground: Ground = Ground()
     soil: Soil = Soil()
+    loads: tuple[LoadChange, ...] = ()  # of the planar plant
     spatial: Spatial = Spatial()
     planar: Mapping[PlanarKey, NotNegative] | None = None  # of the rig, instead of what is usual
     survey: SurveyErrors = SurveyErrors()
@@ -396,6 +409,9 @@ class Scenario:
     wheel_sensor: bool = True
     claims: bool = True  # False: everybody has claimed an address before the recording began
     other_traffic: bool = True  # the frames that nobody wants
+    origin_deg: tuple[Annotated[float, Field(ge=-80, le=80)], Annotated[float, Field(ge=-180, le=180)]] = (
+        ORIGIN_DEG  # latitude and longitude of x = y = 0
+    )
     utc_start_ns: Instant = 1_777_881_600_000_000_000  # 2026-05-04T08:00:00Z; a multiple of the sample period
     clock_offset_s: ClockOffset | None = None  # host clock minus UTC at the start; None: drawn
 
@@ -416,6 +432,7 @@ class Scenario:
             say = 'is of the spatial plant; add plant = "spatial"'
         else:
             given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
+            given += ["loads"] if self.loads else []
             say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
             if self.planar:
                 raise ValueError("planar is of the planar plant; give spatial")

@@ -28,7 +28,6 @@ from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import readable
 from tilth.simulator.drive import drive
 from tilth.simulator.ground import AXLES, crossings
-from tilth.simulator.receivers import ORIGIN_DEG
 from tilth.simulator.scenario import STEP_S, Scenario
 from tilth.simulator.spatial.forces import TYRE_COLUMNS
 from tilth.simulator.spatial.vehicle import WHEELS
@@ -266,7 +265,7 @@ def _description(source: SimulationInput, truth: Truth, log: Path, table: Path) 
         **_space(truth),
         "nuisances": truth.nuisances,  # SI; named in simulator/tractor.py
         "events": sorted(_events(truth), key=lambda event: (event["t_ns"], event["what"])),
-        "origin_deg": ORIGIN_DEG,
+        "origin_deg": truth.scenario.origin_deg,
         "utc_start_ns": truth.scenario.utc_start_ns,
         "table": {
             "file": table.name,

@@ -117,7 +117,8 @@ def setting_of(machine: Machine, seed: int, seconds: float, scenario: Scenario) 
     rig = _rig(machine, scenario, believed, parameters, nuisances, drawn)
     time: Array = np.arange(round(seconds / STEP_S) + 1, dtype=np.float64) * STEP_S
     land = terrain(scenario.ground, scenario.roll_deg, rig, generator(seed, noise.GROUND))
-    soil = field(scenario.soil, parameters, rig, generator(seed, noise.SOIL))
+    of_soil = seed if scenario.soil.patch_seed is None else scenario.soil.patch_seed
+    soil = field(scenario.soil, parameters, rig, generator(of_soil, noise.SOIL), scenario.loads)
     return Setting(seed, scenario, believed, parameters, nuisances, rig, time, land, soil)
 
 
@@ -265,10 +266,10 @@ def integrate(
         x, end = states[k], min(k + HOLD, n - 1)
         rows = inputs[k : end + 1]
         rows[:, 0], rows[:, 3] = driver.steer(k, end, x)
-        rows[:, DRIVEN] = land.inputs(way, x, rig)
+        rows[:, DRIVEN] = land.inputs(way, x, soil.rig_at(time[k]))
         if not soil.uniform:
             theta[k : end + 1] = soil.at(time[k], x)
-        run(states[k : end + 1], rows, theta[k : k + 1], rig, act_pair, STEP_S, 1, True)
+        run(states[k : end + 1], rows, theta[k : k + 1], soil.rig_at(time[k]), act_pair, STEP_S, 1, True)
         way += x[AT["u"]] * (end - k) * STEP_S
         if progress is not None and k % TOLD == 0:
             progress(time[k])

@@ -1,8 +1,8 @@
 """A map of each field of a season: the memory by place (estimator/methods/place.py) over all of its
 stretches, asked along each stretch and in cells between them.
 
-A field is as it was when it was last driven: what was told fades from run to run as in the cab, and a run
-that tells of another soil than was expected is a change in time. The memory in the cab keeps 32 windows; a
+A field is as it was when it was last driven: what was told ages as in the cab, and a run that tells of
+another soil than was expected is a change in time. The memory in the cab keeps 32 windows; a
 field here up to MOST_WINDOWS, and beyond that the two that are nearest become one, as there.
 """
 
@@ -21,13 +21,12 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from tilth.analysis.season.identified import IMPLEMENT_AXLE
 from tilth.analysis.season.kept_table import MapProblem, PlacedStretch
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.soil_field import AXLES, KeptSoil, SoilMemory, SoilWindow
+from tilth.estimator.filters.soil_field import AXLES, SoilMemory, SoilWindow
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.place import PLACE, axles_in_line, merged_nearest
 from tilth.estimator.pose.geometry import to_degrees, to_plane
 from tilth.estimator.results.reporting import is_supported
-from tilth.estimator.warm_start import share_left
 from tilth.schemas.flow import PARAMETERS, Status
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code, Reason
@@ -75,6 +74,7 @@ class MappedField:
     sd: Array
     features: tuple[MapFeature, ...]
     changed: tuple[str, ...]  # runs since which the soil is another one
+    windows: tuple[SoilWindow, ...]  # of the memory
 
 
 def fields_of(stretches: Sequence[PlacedStretch]) -> list[list[PlacedStretch]]:
@@ -116,9 +116,6 @@ def memory_of(runs: Sequence[tuple[str, list[SoilWindow]]], prior_sd: Array) -> 
     in the order of driving. prior_sd: (n,)."""
     kept, changed, epoch = list[SoilWindow](), list[str](), 0
     for name, told in runs:
-        if kept:
-            pause_s = max(0.0, (told[0].begin_ns - kept[-1].begin_ns) * 1e-9)
-            kept = KeptSoil((0.0, 0.0), kept).faded(share_left(pause_s)).windows
         soil = SoilMemory(tuple(kept), prior_sd)
         after = SoilMemory([*kept, *(replace(one, epoch=epoch) for one in told)], prior_sd)
         if soil.surprise(after) < PLACE.unexpected:
@@ -170,7 +167,7 @@ def mapped(
     blank = np.where(known, 0.0, np.nan)
     return MappedField(
         number, origin_deg, tuple(stretches), ways, _outline(ways), cell_m, grid, mean + blank, sd + blank,
-        tuple(features), tuple(changed),
+        tuple(features), tuple(changed), tuple(soil.windows),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ replayed in any order, on any computer, and are put together afterwards (merging
 import math
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +24,7 @@ from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, U
 from tilth.replay.offline import ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.log import LogError
+from tilth.replay.readers.remote import at_hand
 from tilth.schemas.flow import PARAMETERS, EventKind, FlagKind
 from tilth.schemas.machine import MachineError
 from tilth.schemas.machine_toml import MachineFile, parse_machine
@@ -46,7 +48,7 @@ class RunTask:
     """A run to identify. key: what is kept of it has this name."""
 
     key: str
-    paths: tuple[Path, ...]
+    paths: tuple[str, ...]  # or URLs
     machine_text: str
     dbc: str | None
 
@@ -92,11 +94,17 @@ class Identified:
 
 def identified(task: RunTask) -> bytes:
     """Identify one run; packed, as it is kept. It never raises: a run that fails is told in a sentence."""
-    began_s = time.process_time()
+    began_s, copies = time.process_time(), dict[str, str]()
     try:
-        found = _replayed(task, began_s)
+        with ExitStack() as stack:
+            for path in task.paths:
+                copies[path] = str(stack.enter_context(at_hand(path)))
+            found = _replayed(task, [Path(copy) for copy in copies.values()], began_s)
     except (LogError, MachineError) as error:
-        found = Identified(str(error))
+        text = str(error)
+        for path, copy in copies.items():
+            text = text.replace(copy, path)
+        found = Identified(text)
     except OSError as error:
         found = Identified(f"{error.filename or task.paths[0]}: {reason_of(error)}")
     except Exception as error:  # the edge of a night: the next run goes on
@@ -104,11 +112,11 @@ def identified(task: RunTask) -> bytes:
     return packed(found)
 
 
-def _replayed(task: RunTask, began_s: float) -> Identified:
+def _replayed(task: RunTask, paths: Sequence[Path], began_s: float) -> Identified:
     machine_file = MachineFile(parse_machine(task.machine_text, task.dbc), task.machine_text)
     heard = _HeardFits()
     said: list[str] = []
-    summary = replay(task.paths, machine_file, outputs=ReplayOutputs(fit=heard.take), say=said.append)
+    summary = replay(paths, machine_file, outputs=ReplayOutputs(fit=heard.take), say=said.append)
     told = [event for event in summary.events if event.kind in TOLD_EVENTS]
     counted: dict[str, int] = {}
     for event in told:

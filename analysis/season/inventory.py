@@ -21,6 +21,7 @@ from tilth.replay.catalogue import BESIDE
 from tilth.replay.glance import FileState, brief
 from tilth.replay.readers.any_log import MCAP, open_log
 from tilth.replay.readers.log import ForeignLog, LogError
+from tilth.replay.readers.remote import at_hand, files_at, is_remote
 from tilth.replay.readers.rig import machine_in
 from tilth.replay.simulated import REPLAY
 from tilth.schemas.flow import Frame
@@ -43,7 +44,7 @@ class SeenFile:
 
     path: str
     size: int
-    changed_ns: int  # when the file was changed
+    changed_ns: int  # when the file was changed; on storage elsewhere a number of its own for each version
     sha256: str = ""
     problem: str = ""  # why it cannot be used, a sentence
     told: str = ""  # what a person should know of it though it is used
@@ -105,9 +106,10 @@ class Inventory:
 
 
 def take_inventory(
-    paths: Sequence[Path], out: Path, given: MachineFile | None, progress: Progress
+    paths: Sequence[str], out: Path, given: MachineFile | None, progress: Progress
 ) -> Inventory:
-    """paths: files and folders. out: the season's folder. given: the machine file of logs that hold none.
+    """paths: files and folders, on storage elsewhere as URLs. out: the season's folder. given: the machine
+    file of logs that hold none.
     Raises OSError where nothing can be kept in it."""
     found, left_out = _files(paths, out)
     seen = unpacked(_kept(out / SEEN), SeenFiles) or SeenFiles()
@@ -120,11 +122,11 @@ def take_inventory(
     for path, size, changed_ns, named in found:
         progress("looking at files", done, whole)
         done += size
-        before = seen.files.get(str(path))
+        before = seen.files.get(path)
         if before is None or (before.size, before.changed_ns) != (size, changed_ns) or before.problem:
-            before = _look(SeenFile(str(path), size, changed_ns), out, machines)
-            seen.files[str(path)] = before
-        if before.problem and not named and path.suffix.lower() not in LOG_ENDINGS:
+            before = _look(SeenFile(path, size, changed_ns), out, machines)
+            seen.files[path] = before
+        if before.problem and not named and Path(path).suffix.lower() not in LOG_ENDINGS:
             continue  # a photo on a stick
         if not before.machine and given is not None and not before.problem:
             before = replace(before, machine=given.sha256)
@@ -141,25 +143,41 @@ def _kept(path: Path) -> bytes:
     return b""
 
 
-def _files(
-    paths: Sequence[Path], out: Path
-) -> tuple[list[tuple[Path, int, int, bool]], list[tuple[str, str]]]:
+def _files(paths: Sequence[str], out: Path) -> tuple[list[tuple[str, int, int, bool]], list[tuple[str, str]]]:
     """((path, bytes, time of change, whether it was given by name) of each file; (path, why not))."""
-    found: dict[Path, tuple[Path, int, int, bool]] = {}
+    found: dict[str, tuple[str, int, int, bool]] = {}
     left_out: list[tuple[str, str]] = []
     own = out.resolve()
     for given in paths:
-        for path in _walk(given, left_out):
+        if is_remote(given):
+            _list(given, found, left_out)
+            continue
+        for path in _walk(Path(given), left_out):
             resolved = path.resolve()
-            if resolved in found or own in resolved.parents:
+            if str(resolved) in found or own in resolved.parents:
                 continue
             try:
                 told = path.stat()
             except OSError as error:
                 left_out.append((readable(str(path)), f"cannot be read ({reason_of(error)})"))
                 continue
-            found[resolved] = (path, told.st_size, told.st_mtime_ns, path == given)
+            found[str(resolved)] = (str(path), told.st_size, told.st_mtime_ns, path == Path(given))
     return list(found.values()), left_out
+
+
+def _list(url: str, found: dict[str, tuple[str, int, int, bool]], left_out: list[tuple[str, str]]) -> None:
+    """What storage elsewhere has. found, left_out: gain it."""
+    try:
+        for url_of, size, changed in files_at(url):
+            below = url_of.removeprefix(url).split("/")
+            if not any(name.startswith(".") for name in below) and not _is_beside(below[-1]):
+                found.setdefault(url_of, (url_of, size, changed, url_of == url))
+    except ForeignLog as error:
+        left_out.append((readable(url), str(error).removeprefix(f"{url}: ")))
+
+
+def _is_beside(name: str) -> bool:
+    return name.endswith(COPY) or Path(name).suffix.lower() in BESIDE
 
 
 def _walk(given: Path, left_out: list[tuple[str, str]]) -> Iterator[Path]:
@@ -174,20 +192,22 @@ def _walk(given: Path, left_out: list[tuple[str, str]]) -> Iterator[Path]:
     for folder, names, files in os.walk(given, onerror=cannot):
         names[:] = sorted(name for name in names if not name.startswith("."))
         for name in sorted(files):
-            if not (name.startswith(".") or name.endswith(COPY) or Path(name).suffix.lower() in BESIDE):
+            if not (name.startswith(".") or _is_beside(name)):
                 yield Path(folder) / name
 
 
 def _look(file: SeenFile, out: Path, machines: dict[str, tuple[str, str | None]]) -> SeenFile:
     """What a file is. machines: gains its machine file."""
-    path = Path(file.path)
+    shown = file.path
     try:
-        with open_log(path).file as stream:
-            stream.read(1)
-        file = replace(file, sha256=sha256_of(path))
-        return _of_tilth(file, out, machines) if _is_mcap(path) else _of_others(file)
+        with at_hand(file.path) as path:
+            shown = str(path)
+            with open_log(path).file as stream:
+                stream.read(1)
+            file = replace(file, sha256=sha256_of(path))
+            return _of_tilth(file, path, out, machines) if _is_mcap(path) else _of_others(file, path)
     except (LogError, MachineError, NoLog) as error:
-        text = str(error).removeprefix(f"{path}: ")
+        text = str(error).removeprefix(f"{file.path}: ").removeprefix(f"{shown}: ")
         return replace(file, problem=readable(text))
     except OSError as error:
         return replace(file, problem=f"cannot be read ({reason_of(error)})")
@@ -199,9 +219,9 @@ def _is_mcap(path: Path) -> bool:
         return log.form == MCAP
 
 
-def _of_tilth(file: SeenFile, out: Path, machines: dict[str, tuple[str, str | None]]) -> SeenFile:
+def _of_tilth(file: SeenFile, path: Path, out: Path, machines: dict[str, tuple[str, str | None]]) -> SeenFile:
     """Raises LogError, MachineError, NoLog, OSError."""
-    path, told, state = Path(file.path), "", brief(Path(file.path)).state
+    told, state = "", brief(path).state
     if state is FileState.BEING_WRITTEN:
         raise NoLog("it is being recorded now; it counts when that run has ended")
     read = path
@@ -246,9 +266,9 @@ def _rescue(path: Path, to: Path) -> None:
         part.unlink(missing_ok=True)
 
 
-def _of_others(file: SeenFile) -> SeenFile:
+def _of_others(file: SeenFile, path: Path) -> SeenFile:
     """A log that another program wrote; it holds no machine file. Raises LogError."""
-    log = open_log(file.path)
+    log = open_log(path)
     with log.file:
         first_ns = next((one.t_ns for one in log.records if isinstance(one, Frame)), 0)
     ahead = 0 if first_ns > _YEAR_2000_NS else None

@@ -10,11 +10,16 @@ from typing import Any, Final
 import numpy as np
 from pyproj import CRS
 
-from tilth.analysis.season.field_map import STIFFNESSES, MapFeature
+from tilth.analysis.season.field_map import STIFFNESSES, MapFeature, MappedField
 from tilth.analysis.season.kept_table import RigStretches
 from tilth.analysis.season.table import require_parquet
+from tilth.estimator.methods import place
+from tilth.estimator.methods.estimators import rows_for
+from tilth.estimator.warm_start import save_learned
+from tilth.logger import warm_start_file
 from tilth.logger.log import whole_file
 from tilth.logger.log.software import software
+from tilth.schemas.machine import Machine
 
 DECIMALS: Final = 7  # of a degree: 11 mm
 MEANING: Final = {
@@ -40,6 +45,19 @@ def facts_of(rig: RigStretches, cell_m: float) -> dict[str, Any]:
         "machine": rig.machine_name, "implement": rig.implement, "cell_m": cell_m, **MEANING,
         "version": said["version"], "estimator": said["estimator"],
     }  # fmt: skip
+
+
+def write_prior(path: Path, machine: Machine, of_field: MappedField) -> None:
+    """What the rig's next run on a field begins from ([estimation] field_map): the memory by place, as a run
+    keeps it. A new file, or nothing. Raises OSError."""
+    estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
+    memory, windows = estimators[place.METHOD], list(of_field.windows)
+    while len(windows) > place.PLACE.most_windows:
+        windows = place.merged_nearest(windows)
+    memory.windows, memory.origin_deg = windows, of_field.origin_deg
+    memory.informed_ns = max(one.begin_ns for one in windows)
+    learned = save_learned(machine, estimators, memory.informed_ns)
+    whole_file.write(path, warm_start_file.text_of(machine, learned, memory.informed_ns).encode())
 
 
 def _bounds(features: Sequence[MapFeature]) -> list[float]:

@@ -23,6 +23,7 @@ from tilth.analysis.season.table import write_table
 from tilth.analysis.workers.parts import LostPart, Parts
 from tilth.logger.log import whole_file
 from tilth.logger.log.software import software
+from tilth.replay.readers.remote import is_remote
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.readable import reason_of
 
@@ -53,7 +54,7 @@ class Season:
 
 
 def season(
-    paths: Sequence[Path],
+    paths: Sequence[str],
     out: Path,
     parts: Callable[[float], Parts],
     *,
@@ -61,8 +62,8 @@ def season(
     retry: bool = False,
     progress: Progress = lambda what, done, of: None,
 ) -> Season:
-    """paths: logs and folders of them. parts: who computes, given the seconds that a run takes at most.
-    machine: of logs that hold no machine file. retry: compute what has failed once more. Raises
+    """paths: logs and folders of them, or URLs. parts: who computes, given the seconds that a run takes at
+    most. machine: of logs that hold no machine file. retry: compute what has failed once more. Raises
     SeasonProblem, LostPart where nothing can be computed, OSError."""
     out.mkdir(parents=True, exist_ok=True)
     with _alone(out):
@@ -124,7 +125,11 @@ def _task(run: SeasonRun, inventory: Inventory) -> RunTask:
     text, dbc = inventory.machines.get(run.machine, ("", None))
     shas = [file.sha256 for file in run.files]
     key = key_of("run", FORM, software()["estimator"], run.machine, *shas)
-    paths = tuple(Path(file.read_at or file.path).absolute() for file in run.files)  # workers are elsewhere
+    paths = tuple(
+        file.path if is_remote(file.path) and not file.read_at
+        else str(Path(file.read_at or file.path).absolute())  # workers are elsewhere
+        for file in run.files
+    )  # fmt: skip
     return RunTask(key, paths, text, dbc)
 
 

@@ -161,6 +161,8 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:
     usable = (Status.ESTIMATED, Status.STALE)
+    if estimate.of_place is not None:
+        estimate = replace(estimate, of_place=replace(estimate.of_place, log_mean=()))
     if status is Status.UNESTIMATED and all(p.status not in usable for p in estimate.parameters):
         return estimate  # it has no numbers, and its own reasons
     parameters = tuple(ParameterEstimate(None, None, status, reason, p.age_s) for p in estimate.parameters)

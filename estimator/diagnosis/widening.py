@@ -113,6 +113,25 @@ class OfSoil:
         return Reason(Code.OTHER_SOIL if total <= limit else Code.NOT_KNOWN_HERE, numbers=(total,))
 
 
+@dataclass(frozen=True, slots=True)
+class OfLoad:
+    """What is not known of the implement's load does to the six."""
+
+    covariance: Array  # (6, 6), of logarithms
+    over_mass: float  # of the covariance, what is of C_ai over the mass
+
+    def limit(self, own: float, had: bool = False) -> float:
+        """As of `Widening`; what was given before is given no longer."""
+        return max(WIDENING.widest, WIDENING.least * own)
+
+    def reason(self, k: int, own: float, limit: float) -> Reason | None:
+        """As of `Widening`."""
+        added = math.sqrt(self.covariance[k, k])
+        if math.hypot(own, added) <= limit:
+            return None
+        return Reason(Code.OF_THE_MASS, ("implement.mass",), (added, own))
+
+
 def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit | None = None) -> Widening:
     """known: numbers that need no proof any more. fit: what fits of whole windows have found: of BY_FIT they
     know more, and their misfit elsewhere is of other numbers."""
@@ -143,7 +162,7 @@ def _probabilities(log_factors: Array, often: Array) -> Array:
     return np.asarray(wrong / ((1.0 - WIDENING.wrong) * math.exp(-top) + wrong.sum()), np.float64)
 
 
-def widened(widening: Widening | OfSoil, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
+def widened(widening: Widening | OfSoil | OfLoad, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
     """An estimate as wide as file or soil may be otherwise; without the numbers that this leaves useless.
     had: which of the six it had before; these are withdrawn later than new ones are given."""
     if not estimate.log_covariance or not widening.covariance.any():
@@ -152,7 +171,10 @@ def widened(widening: Widening | OfSoil, estimate: Estimate, had: Sequence[bool]
     parameters = tuple(
         _parameter(widening, k, p, had=k < len(had) and had[k]) for k, p in enumerate(estimate.parameters)
     )
-    masses = [_over_mass(widening, estimate, k, had=k < len(had) and had[k]) for k in range(3)]
+    over = np.diag(widening.covariance)[:3].copy()
+    if isinstance(widening, OfLoad):
+        over[2] = widening.over_mass
+    masses = [_over_mass(widening, estimate, k, over[k], had=k < len(had) and had[k]) for k in range(3)]
     determined = tuple(
         replace(one, log_sd=total)
         for one in estimate.determined
@@ -166,19 +188,21 @@ def widened(widening: Widening | OfSoil, estimate: Estimate, had: Sequence[bool]
 
 
 def _over_mass(
-    widening: Widening | OfSoil, estimate: Estimate, k: int, had: bool
+    widening: Widening | OfSoil | OfLoad, estimate: Estimate, k: int, added: float, had: bool
 ) -> tuple[float | None, float | None]:
-    """(value, sd) of a stiffness over the mass, which errors of the mass do not widen."""
+    """(value, sd) of a stiffness over the mass, which errors of the mass do not widen. added: variance."""
     if k >= len(estimate.per_mass_sd):
         return None, None
     value, sd = estimate.per_mass[k], estimate.per_mass_sd[k]
     if value is None or sd is None:
         return None, None
-    total = math.hypot(sd / value, math.sqrt(widening.covariance[k, k]))
+    total = math.hypot(sd / value, math.sqrt(added))
     return (value, value * total) if total <= widening.limit(sd / value, had) else (None, None)
 
 
-def _parameter(widening: Widening | OfSoil, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
+def _parameter(
+    widening: Widening | OfSoil | OfLoad, k: int, given: ParameterEstimate, had: bool
+) -> ParameterEstimate:
     if given.value is None or given.sd is None:
         return given
     own = given.sd / given.value
@@ -189,6 +213,6 @@ def _parameter(widening: Widening | OfSoil, k: int, given: ParameterEstimate, ha
     return replace(given, value=None, sd=None, status=Status.UNESTIMATED, reason=reason)
 
 
-def _of_combination(widening: Widening | OfSoil, one: Combination) -> float:
+def _of_combination(widening: Widening | OfSoil | OfLoad, one: Combination) -> float:
     weights = np.array(one.exponents)
     return math.sqrt(one.log_sd**2 + float(weights @ widening.covariance @ weights))

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
@@ -103,18 +104,18 @@ def gradient_and_information(noise: FreeNoise, stretches: Sequence[Array]) -> tu
     """
     order, outputs, unknowns = noise.order, stretches[0].shape[1], stretches[0].shape[2]
     weight = np.linalg.cholesky(np.linalg.inv(noise.covariance))
-    of_lag = noise.coefficients.reshape(order, outputs, outputs)
+    of_lags = noise.coefficients.reshape(order, outputs, outputs)[::-1].reshape(-1, outputs)  # oldest first
+    whitening = np.ascontiguousarray((np.concatenate([-of_lags, np.eye(outputs)]) @ weight).T)
     parts = []
     for S in stretches:
-        each = np.ascontiguousarray(S.transpose(2, 0, 1))
-        white = each[:, order:].copy()
-        for j, coefficients in enumerate(of_lag, start=1):
-            white -= each[:, order - j : each.shape[1] - j] @ coefficients
-        parts.append(white @ weight)
-    psi = np.concatenate(parts, axis=1)  # (a, n, c)
-    gradient = np.tensordot(psi, noise.rest @ weight, axes=2)
-    flat = psi.reshape(unknowns, -1)
-    shared = noise.past.T @ psi.transpose(1, 0, 2).reshape(len(noise.rest), -1)
-    seen = noise.inverse @ shared
-    explained = seen.reshape(len(seen), unknowns, outputs).transpose(1, 0, 2).reshape(unknowns, -1)
-    return gradient, flat @ flat.T - explained @ explained.T
+        each = np.ascontiguousarray(S)
+        size, (by_epoch, _, by_unknown) = (order + 1) * outputs, each.strides
+        windows = as_strided(  # of an epoch with its past, without a copy
+            each, (len(each) - order, size, unknowns), (by_epoch, unknowns * by_unknown, by_unknown)
+        )
+        parts.append(np.matmul(whitening, windows))
+    psi = np.concatenate(parts)  # (n, c, a)
+    flat = psi.reshape(-1, unknowns)
+    shared = noise.past.T @ psi.reshape(len(psi), -1)
+    explained = (noise.inverse @ shared).reshape(-1, unknowns)
+    return (noise.rest @ weight).ravel() @ flat, flat.T @ flat - explained.T @ explained

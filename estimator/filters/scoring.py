@@ -40,6 +40,7 @@ from tilth.estimator.filters.newton import (
     newton_step,
 )
 from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.soil_within import Pieces, pieces_of
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import Record
 from tilth.estimator.tuning import tuned
@@ -106,6 +107,7 @@ class Posterior:
     converged: bool
     contrast: Contrast | None = None
     """With the estimate that needs no model of the ground, where it is asked for."""
+    pieces: Pieces | None = None  # of its way, where `contrast` is
     two_places: bool = False  # whether another place, more than a sd away, is about as likely
 
 
@@ -124,7 +126,7 @@ def maximise_posterior(
 
     reference: [n], a point to compare with the prior's mean on this record, which was used for neither
     (`gain`). start: [n], where the search begins, the prior's mean if None: it should end in the same place.
-    contrast: whether that is asked for.
+    contrast: whether that is asked for, and the pieces of its way.
     """
     search = search_of(record, setup, mean, covariance)
     point = (mean if start is None else start).copy()
@@ -137,12 +139,14 @@ def maximise_posterior(
     scores = scores_at(search, found)
     record_information = np.zeros_like(covariance)
     record_information[np.ix_(search.active, search.active)] = information - search.prior_information
+    beside_it = contrast and converged and setup.scale == 1.0
     return Posterior(
         found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
         record_information,
         found.cost / max(len(record.rows), 1), gain, ended.steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
-        contrast_of(search, found, counted) if contrast and converged and setup.scale == 1.0 else None,
+        contrast_of(search, found, counted) if beside_it else None,
+        pieces_of(search, found) if beside_it else None,
         two_places,
     )  # fmt: skip
 

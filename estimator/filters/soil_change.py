@@ -7,8 +7,9 @@ addition. The statistic is the likelihood ratio of the best c against c = 0, a c
 freedom.
 """
 
+import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,12 @@ class SoilChangeTuning:
     most_change: float = tuned(1.6, "1", "of a logarithm: no soil changes by more than five times")
     known_sd: float = tuned(0.2, "1", "largest sd of a logarithm before, for its change to be detected")
     most_checkpoints: int = tuned(10, "checkpoints", "that are stored, 4 s")
+    soil_sd: float = tuned(0.4, "1", "of a stiffness' logarithm, by which other soil changes it")
+    common: float = tuned(0.8, "1", "share of that variance that all axles have in common")
+    couples: float = tuned(0.05, "1", "of a logarithm, by which another mass moves what it should not")
+    rounding: float = tuned(1e-3, "1", "of a logarithm: less cannot be told apart")
+    sure: float = tuned(math.log(20.0), "nat", "likelier by which the one change is told from the other")
+    loaded: float = tuned(math.log(40.0), "nat", "likelier than no change, from which another load is told")
     checkpoint_segments: int = tuned(2, "segments", "between two of them")
 
 
@@ -59,6 +66,7 @@ class Change:
 
     ratio: float  # twice the logarithm of its likelihood ratio
     logs: Array  # [6]
+    since: Checkpoint
 
 
 def limit(uneven: float) -> float:
@@ -89,4 +97,36 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     )
     ratio = np.where(valid, likeliest * (2.0 * score - likeliest * information), 0.0)
     k, d = np.unravel_index(np.argmax(ratio), ratio.shape)
-    return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d])
+    return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d], checkpoints[k])
+
+
+class Odds(NamedTuple):
+    """Logarithms of how much likelier a change makes it than none, that a posterior's mean has moved so."""
+
+    load: float  # of the implement's load
+    soil: float  # which changes all stiffnesses together, and each axle's a little besides
+
+    @property
+    def of_load(self) -> float:
+        """The one against the other."""
+        return self.load - self.soil
+
+
+def odds(before: tuple[Array, Array], after: tuple[Array, Array], by_load: Array, without: Array) -> Odds:
+    """before, after: mean, (6,), and covariance, (6, 6). by_load: (6, 6), covariance of the six by another
+    load;
+    without: (6, 6), of what moves besides without any change."""
+    answer = np.eye(6) - np.linalg.solve(before[1], after[1]).T
+    by_chance = (answer @ before[1] + (answer @ before[1]).T) / 2.0
+    values, vectors = np.linalg.eigh(by_chance)
+    by_chance = (vectors * np.maximum(values, SOIL_CHANGE.rounding**2)) @ vectors.T + without
+    soil, share = np.zeros((6, 6)), SOIL_CHANGE.common
+    soil[:3, :3] = SOIL_CHANGE.soil_sd**2 * (share + (1.0 - share) * np.eye(3))
+    couples = np.diag([SOIL_CHANGE.couples**2] * 6)
+    likelihoods = []
+    for change in (np.zeros((6, 6)), by_load + couples, soil + couples):
+        total = by_chance + answer @ change @ answer.T
+        moved = after[0] - before[0]
+        determinant = float(np.linalg.slogdet(total)[1])
+        likelihoods.append(-0.5 * (float(moved @ np.linalg.solve(total, moved)) + determinant))
+    return Odds(likelihoods[1] - likelihoods[0], likelihoods[2] - likelihoods[0])

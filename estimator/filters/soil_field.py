@@ -7,12 +7,13 @@ over which length, is learned: each pair of values is a hypothesis, weighed by t
 the windows told, and by how often fields are so. With few windows many are likely, and the answer is wide.
 
 A window tells of the mean over its path, of each axle's stiffness along the way of that axle. Errors of the
-model are common to all windows of a method: a random effect, so they do not average out.
+model are common to all windows of a method: a random effect, so they do not average out. Worked ground is an
+effect of its own, and the level of the stiffnesses drifts with time (Ornstein and Uhlenbeck's process).
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Final, NamedTuple
 
@@ -47,13 +48,18 @@ class SoilFieldTuning:
         0.05, "1", "sd of a stiffness' logarithm that turns with the heading: slope, pull"
     )
     """3° fore and aft shift 5 % of the front axle's load. What passes to and fro differ by is not soil."""
+    worked: float = tuned(0.2, "1", "sd of a stiffness' logarithm between worked ground and other ground")
     changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")
+    ages_s: float = tuned(
+        400_000.0, "s", "in which the level becomes another, as by such a change: 5 % in an hour, 17 % in ten"
+    )
     telling: float = tuned(0.02, "1", "information over the prior's, of a direction that is used")
     likely: float = tuned(1e-3, "1", "likelihood over the largest: of a hypothesis that is not left out")
     points: int = tuned(6, "positions", "of a path")
 
 
 SOIL_FIELD: Final = SoilFieldTuning()
+_KINDS: Final = len(SOIL_FIELD.sds) * len(SOIL_FIELD.lengths_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +69,8 @@ class Told:
     information: Annotated[Array, Shape((6, 6))]
     vector: Annotated[Array, Shape((6,))]  # information @ (what it says alone, less the prior's mean)
     model_sd: Annotated[Array, Shape((6,))]  # of errors of the model, in common with others of its method
+    within: Annotated[Array, Shape((_KINDS,))] = field(default_factory=lambda: np.zeros(_KINDS))
+    """Logarithm of the likelihood of how soil differed along its way, by each of VARIOGRAMS."""
 
 
 def told(
@@ -122,10 +130,12 @@ class SoilWindow:
 
     method: str
     begin_ns: int
-    passing: int  # number of the pass
+    passing: int  # number of the pass; -1: of an earlier run
     path: Annotated[Array, Shape((-1, AXLES, 2))]  # north and east of each axle, m, at places along it
     told: Told
     epoch: int = 0  # number of the changes in time before it
+    worked: Annotated[Array, Shape((AXLES,))] = field(default_factory=lambda: np.zeros(AXLES))
+    """Share of each axle's way that had been worked before this pass."""
 
 
 def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
@@ -134,8 +144,18 @@ def merged(one: SoilWindow, other: SoilWindow) -> SoilWindow:
         one.told.information + other.told.information,
         one.told.vector + other.told.vector,
         np.maximum(one.told.model_sd, other.told.model_sd),
+        one.told.within + other.told.within,
     )
-    return replace(max(one, other, key=lambda window: window.begin_ns), told=told)
+    latest = max(one, other, key=lambda window: window.begin_ns)
+    return replace(latest, told=told, worked=(one.worked + other.worked) / 2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class WorkedPoint:
+    """Where the middle of an implement has worked: a corner of its way."""
+
+    passing: int
+    place: Annotated[Array, Shape((2,))]  # north and east, m
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,25 +163,18 @@ class KeptSoil:
     """What is kept of a field, for the next run."""
 
     origin_deg: tuple[float, float]  # latitude and longitude, of the plane that paths are in
-    windows: list[SoilWindow]
+    windows: list[SoilWindow]  # each begins so long before the last of them informed
+    way: list[WorkedPoint]
 
     @property
     def finite(self) -> bool:
-        return all(
-            np.all(np.isfinite(part))
-            for w in self.windows
-            for part in (w.path, w.told.information, w.told.vector, w.told.model_sd)
-        )
+        def numbers(w: SoilWindow) -> tuple[Array, ...]:
+            told = w.told
+            return w.path, told.information, told.vector, told.model_sd, told.within, w.worked
 
-    def faded(self, share: float) -> "KeptSoil":
-        """With so much of its information left."""
-        windows = [
-            replace(
-                w, told=replace(w.told, information=share * w.told.information, vector=share * w.told.vector)
-            )
-            for w in self.windows
-        ]
-        return replace(self, windows=windows)
+        return all(np.all(np.isfinite(part)) for w in self.windows for part in numbers(w)) and all(
+            np.all(np.isfinite(point.place)) for point in self.way
+        )
 
 
 class At(NamedTuple):
@@ -172,11 +185,22 @@ class At(NamedTuple):
     length_m: float  # over which soil is alike
 
 
+class AskedGround(NamedTuple):
+    """What is asked of a place, besides where it is."""
+
+    t_ns: int | None = None  # when; None: when what was told last began
+    worked: Array | None = None  # share of each axle's ground that had been worked before, (3,); None: none
+
+
+LAST: Final = AskedGround()
+_OF_AXLES: Final = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
+"""Correlation of what axles have in common."""
+
+
 def exponential(apart: Array, length_m: float) -> Array:
     """Correlation of the stiffnesses' means over paths, (3 n, 3 m). apart: as of `_apart`."""
     near = over_paths(np.exp(np.sqrt(apart[0] * apart[0] + apart[1] * apart[1]) / -length_m))
-    of_axles = np.full((AXLES, AXLES), SOIL_FIELD.common) + (1.0 - SOIL_FIELD.common) * np.eye(AXLES)
-    return np.asarray(near * np.tile(of_axles, (apart.shape[1], apart.shape[4])))
+    return np.asarray(near * np.tile(_OF_AXLES, (apart.shape[1], apart.shape[4])))
 
 
 def over_paths(each: Array) -> Array:
@@ -239,6 +263,8 @@ class _Near(NamedTuple):
     kinds: dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]
     """Of each kind of soil: correlation of what was told with each axle's, (r, 3), and of these, (3, 3)."""
     toward: Array  # as of SoilMemory._toward, (3, 6)
+    alike: tuple[Array, Array]  # as of SoilMemory._alike, of each direction that was told of, (r,)
+    worked: Array  # share of each axle's ground, (3,)
 
 
 class SoilMemory:
@@ -288,9 +314,10 @@ class SoilMemory:
         of, units, values, variances = self._directions
         sds = np.array([window.told.model_sd for window in self.windows]).reshape(-1, 6)[of]
         methods = np.array([window.method for window in self.windows])[of]
-        epochs = np.array([window.epoch for window in self.windows])[of]
         fixed = (units * self.prior_sd**2) @ units.T + np.diag(variances)
-        fixed -= (units * self._between_epochs) @ units.T * (epochs[:, None] != epochs)
+        for alike, changing in zip(self._alike(*self._ages), self._of_time, strict=True):
+            fixed -= (units * changing) @ units.T * (1.0 - alike[of][:, of])
+        fixed += SOIL_FIELD.worked**2 * (self._worked @ _OF_AXLES @ self._worked.T)
         fixed += SOIL_FIELD.direction**2 * (self._toward @ self._toward.T)
         # What the surer of two windows has of errors, both have: a difference of them is not free of it.
         in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
@@ -300,12 +327,16 @@ class SoilMemory:
             key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
             for key, one in self._kinds.items()
         }
+        along = np.zeros(len(self.variograms))
+        if self.variograms is VARIOGRAMS:
+            along += sum(window.told.within for window in self.windows)
         found, logs = [], []
-        for one in self.variograms:
+        for one, likely in zip(self.variograms, along.tolist(), strict=True):
             root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
-            logs.append(math.log(one.beforehand) - 0.5 * distance - float(np.sum(np.log(np.diag(root)))))
+            likely -= 0.5 * distance + float(np.sum(np.log(np.diag(root))))
+            logs.append(math.log(one.beforehand) + likely)
             found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0
@@ -316,11 +347,36 @@ class SoilMemory:
         """One of those that have a correlation in common."""
         return {one.kind: one for one in self.variograms}
 
+    @cached_property
+    def _worked(self) -> Array:
+        """What each direction that was told of has of the effect of work on each axle, (r, 3)."""
+        of, units, _, _ = self._directions
+        shares = np.array([window.worked for window in self.windows]).reshape(-1, AXLES)
+        return np.asarray(units[:, :AXLES] * shares[of])
+
+    @cached_property
+    def _ages(self) -> tuple[Array, Array]:
+        """Of each window: when it began, s, and the number of the changes in time before it."""
+        begin_ns = np.array([window.begin_ns for window in self.windows], np.int64)
+        return begin_ns * 1e-9, np.array([window.epoch for window in self.windows], np.float64)
+
+    def _alike(self, at_s: Array, epochs: Array) -> tuple[Array, Array]:
+        """Correlation with the level in each window by age, and by both age and changes, (windows, …)."""
+        own_s, own = self._ages
+        near = np.asarray(np.exp(-np.abs(own_s[:, None] - at_s) / SOIL_FIELD.ages_s), np.float64)
+        return near, near * (own[:, None] == epochs)
+
     @property
-    def _between_epochs(self) -> Array:
-        """Variances of the six between before and after a change in time, (6,)."""
+    def _of_time(self) -> tuple[Array, Array]:
+        """Variances of the six between times far apart: of what only ages, and of what may change, (6,)."""
+        variance: Array = np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2
         stiffness = np.arange(6) < AXLES
-        return np.where(stiffness, np.minimum(SOIL_FIELD.changed, self.prior_sd) ** 2, 0.0)
+        return np.where(stiffness, 0.0, variance), np.where(stiffness, variance, 0.0)
+
+    @property
+    def log_likelihoods(self) -> Array:
+        """Of what was told, by each hypothesis, (v,)."""
+        return np.array([one.score - math.log(one.soil.beforehand) for one in self._scored])
 
     @property
     def _hypotheses(self) -> list[_Hypothesis]:
@@ -343,10 +399,10 @@ class SoilMemory:
         """Probability that soil differs by more than the least of the sds."""
         return 1.0 - sum(one.weight for one in self._hypotheses if one.soil.sd == min(SOIL_FIELD.sds))
 
-    def at(self, place: Array) -> At:
+    def at(self, place: Array, asked: AskedGround = LAST) -> At:
         """At a place of the rig, or on average over a path: north and east of each axle, (..., 3, 2), m."""
         mean, second, length = np.zeros(6), np.zeros((6, 6)), 0.0
-        near = self._near(place)
+        near = self._near(place, asked)
         for one in self._hypotheses:
             cross, own = self._with(near, one.soil)
             there = cross.T @ one.alpha
@@ -366,7 +422,7 @@ class SoilMemory:
         for one in self._hypotheses:
             told, itself = at_one.kinds[one.soil.kind]
             alike = {one.soil.kind: (np.zeros_like(told), itself)}
-            of_rig, own = self._with(_Near(alike, at_one.toward), one.soil)
+            of_rig, own = self._with(at_one._replace(kinds=alike), one.soil)
             cross = np.tile(of_rig[:, :AXLES], len(places)) + one.soil.sd**2 * placed[one.soil.kind]
             here = (cross.T @ one.alpha).reshape(-1, AXLES)
             half = solve_triangular(one.root, cross, lower=True, check_finite=False)
@@ -376,10 +432,10 @@ class SoilMemory:
             second += one.weight * (left + here[:, :, None] * here[:, None, :])
         return mean, second - mean[:, :, None] * mean[:, None, :]
 
-    def elsewhere(self, place: Array) -> Array:
+    def elsewhere(self, place: Array, asked: AskedGround = LAST) -> Array:
         """How much more uncertain the six are there than by what these windows tell of one soil, (6, 6): what
         is learned without place has this error besides. Of the stiffnesses."""
-        there, near = self.at(place), self._near(place)
+        there, near = self.at(place, asked), self._near(place)
         same = (one for one in self._scored if one.soil.sd == min(SOIL_FIELD.sds))
         one = max(same, key=lambda hypothesis: hypothesis.score)
         cross, own = self._with(near, one.soil)
@@ -390,32 +446,41 @@ class SoilMemory:
         left[:AXLES, :AXLES] = axes * np.maximum(sizes, 0.0) @ axes.T
         return left
 
-    def _near(self, place: Array) -> "_Near":
+    def _near(self, place: Array, asked: AskedGround = LAST) -> "_Near":
         there = place.reshape(1, -1, AXLES, 2).transpose(0, 2, 1, 3)
         apart, own = _apart(self._places, there), _apart(there, there)
         kinds = {
             key: (self._placed @ one.correlation(apart, one.length_m), one.correlation(own, one.length_m))
             for key, one in self._kinds.items()
         }
-        return _Near(kinds, np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64))
+        toward = np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64)
+        (begin_s, epochs), worked = self._ages, np.zeros(AXLES) if asked.worked is None else asked.worked
+        now_s = begin_s.max(initial=0.0) if asked.t_ns is None else asked.t_ns * 1e-9
+        of, (by_age, by_both) = self._directions[0], self._alike(np.array([now_s]), epochs.max(initial=0.0))
+        return _Near(kinds, toward, (by_age[of, 0], by_both[of, 0]), worked)
 
     def _with(self, near: "_Near", soil: Variogram) -> tuple[Array, Array]:
         """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
-        of, units, _, _ = self._directions
-        epochs = np.array([window.epoch for window in self.windows])
+        _, units, _, _ = self._directions
         cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
-        cross -= units * self._between_epochs * (epochs[of] != epochs.max())[:, None]
+        for alike, changing in zip(near.alike, self._of_time, strict=True):
+            cross -= units * changing * (1.0 - alike)[:, None]
         told, there = near.kinds[soil.kind]
         toward = SOIL_FIELD.direction**2 * near.toward
         cross[:, :AXLES] += soil.sd**2 * told + self._toward @ toward.T
         own[:AXLES, :AXLES] += soil.sd**2 * there + near.toward @ toward.T
+        by_work = SOIL_FIELD.worked**2 * _OF_AXLES * near.worked
+        cross[:, :AXLES] += self._worked @ by_work
+        own[:AXLES, :AXLES] += near.worked[:, None] * by_work
         return cross, own
 
-    def shares(self, place: Array, chosen: Sequence[bool]) -> tuple[float, float, float]:
+    def shares(
+        self, place: Array, chosen: Sequence[bool], asked: AskedGround = LAST
+    ) -> tuple[float, float, float]:
         """By how much the chosen windows, then the others, narrow the stiffnesses at a place, over their
         prior's sd, and what is left of it; mean of the three. They add up to 1."""
         one = max(self._hypotheses, key=lambda hypothesis: hypothesis.weight)
-        cross, own = self._with(self._near(place), one.soil)
+        cross, own = self._with(self._near(place, asked), one.soil)
         rows = np.flatnonzero(np.array(chosen)[self._directions[0]])
         told = one.root[rows] @ one.root[rows].T
         by_chosen = cross[rows].T @ np.linalg.solve(told, cross[rows])

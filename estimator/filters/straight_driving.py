@@ -65,7 +65,8 @@ class StraightTuning:
     """Numerics of the model about straight driving."""
 
     small: float = tuned(1e-4, "rad, m/s", "state at which slopes by unknowns are taken, in proportion to it")
-    spacing: float = tuned(0.4, "m/s", "between tabulated speeds")
+    spacing: float = tuned(0.25, "m/s", "between tabulated speeds")
+    most_ticks: int = tuned(10, "ticks", "that are gone in one step: those of an epoch of 5 Hz")
     terms: int = tuned(10, "1", "terms of the exponential's series")
 
 
@@ -89,10 +90,11 @@ class StraightModel(NamedTuple):
     """At the tabulated speeds, (s,), in order."""
 
     speeds: Array  # m/s
-    step: Array  # (s, 13, 14), the state one tick later by the state and the true wheel angle, held
-    step_unknowns: Array  # (s, 13, 14, a)
+    step: Array  # (t, s, 13, 13 + t), the state 1 to t ticks later by the state and each tick's wheel angle
+    step_unknowns: Array  # (t, s, 13, 13 + t, a)
     H: Array  # (s, 24, 13)
     H_unknowns: Array  # (s, 24, 13, a)
+    acting: Array  # (24, 13), 0.0 where all of these are
     rest: Array  # (s, 24)
     offsets: Array  # (s, 24, a)
 
@@ -101,8 +103,8 @@ class FilterModel(NamedTuple):
     """The filter at the tabulated speeds, (s,), in order; of KEPT."""
 
     speeds: Array  # m/s
-    F: Array  # (s, 25, 25), over a tick
-    Q: Array  # (s, 25, 25), covariance of its noise
+    F: Array  # (t, s, 25, 25), over 1 to t ticks
+    Q: Array  # (t, s, 25, 25), covariance of their noise
     H: Array  # (s, 24, 25)
     start: Array  # (25, 25), covariance of the first state
 
@@ -190,11 +192,16 @@ def tabulated(ticks: Array) -> Array:
 def straight_model(speeds: Array, unknowns: Array, setup: RigSetup, places: Places) -> StraightModel:
     """The model at speeds, (s,), m/s, and a point of the unknowns, (n,), with slopes by those at places."""
     made = [straight_rates(float(u), unknowns, setup, places) for u in speeds]
-    steps, slopes = zip(*(_over_a_tick(rates.A, rates.A_unknowns) for rates in made), strict=True)
+    count, n, na = STRAIGHT.most_ticks, N_STRAIGHT, len(places)
+    steps = np.zeros((count, len(speeds), n, n + count))
+    slopes = np.zeros((*steps.shape, na))
+    for k, rates in enumerate(made):
+        _over_ticks(*_over_a_tick(rates.A, rates.A_unknowns), steps[:, k], slopes[:, k])
+    H_unknowns = np.ascontiguousarray(np.moveaxis(np.stack([rates.H_unknowns for rates in made]), 1, -1))
     return StraightModel(
-        speeds, np.stack(steps), np.ascontiguousarray(np.moveaxis(np.stack(slopes), 1, -1)),
+        speeds, steps, slopes,
         np.ascontiguousarray(np.stack([rates.H[:, RESPONDING] for rates in made])),
-        np.ascontiguousarray(np.moveaxis(np.stack([rates.H_unknowns for rates in made]), 1, -1)),
+        H_unknowns, np.any(H_unknowns != 0.0, axis=(0, 3)).astype(np.float64),
         np.stack([rates.rest for rates in made]),
         np.ascontiguousarray(np.moveaxis(np.stack([rates.offsets for rates in made]), 1, -1)),
     )  # fmt: skip
@@ -212,8 +219,12 @@ def filter_model(speeds: Array, unknowns: Array, setup: RigSetup) -> FilterModel
         noises.append(noise[np.ix_(KEPT, KEPT)])
         sensors.append(rates.H[:, KEPT])
     start = variances_at_first(float(speeds.mean()), unknowns, setup)[np.ix_(KEPT, KEPT)]
-    F, Q, H = (np.ascontiguousarray(np.stack(each)) for each in (steps, noises, sensors))
-    return FilterModel(speeds, F, Q, H, np.ascontiguousarray(start))
+    F, Q, H = (np.stack(each) for each in (steps, noises, sensors))
+    over, added = [F], [Q]
+    for _ in range(STRAIGHT.most_ticks - 1):
+        added.append(F @ added[-1] @ F.swapaxes(1, 2) + Q)
+        over.append(F @ over[-1])
+    return FilterModel(speeds, np.stack(over), np.stack(added), H, np.ascontiguousarray(start))
 
 
 def _filter_step(u: float, rates_x: Array, processes: Processes) -> Array:
@@ -227,6 +238,22 @@ def _filter_step(u: float, rates_x: Array, processes: Processes) -> Array:
     F[X_POSITION + 1, : rates_x.shape[1]] = 0.5 * DT * (twice[X_V] + u * twice[X_PSI])
     F[X_POSITION + 1, X_POSITION + 1] = 1.0
     return F
+
+
+def _over_ticks(tick: Array, tick_unknowns: Array, out: Array, slopes: Array) -> None:
+    """Fill out, (t, n, n + t), and slopes, (t, n, n + t, a): the state 1 to t ticks later, by the state and
+    by the input of each of these ticks. tick: (n, n + 1), of one, with its slopes (a, n, n + 1)."""
+    n, na = len(tick), len(tick_unknowns)
+    F, by_input = tick[:, :n], tick[:, n]
+    F_slopes = np.ascontiguousarray(np.moveaxis(tick_unknowns, 0, 1))  # (n, a, n + 1)
+    out[0, :, : n + 1], slopes[0, :, : n + 1] = tick, F_slopes.swapaxes(1, 2)
+    for k in range(1, len(out)):
+        before, width = out[k - 1, :, : n + k], n + k
+        of_before = F_slopes[:, :, :n].reshape(n * na, n) @ before
+        total = of_before.reshape(n, na, width).swapaxes(1, 2)
+        total = total + (F @ slopes[k - 1, :, :width].reshape(n, -1)).reshape(n, width, na)
+        out[k, :, :width], slopes[k, :, :width] = F @ before, total
+        out[k, :, width], slopes[k, :, width] = by_input, F_slopes[:, :, n]
 
 
 def _over_a_tick(A: Array, A_unknowns: Array) -> tuple[Array, Array]:

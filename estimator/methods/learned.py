@@ -1,6 +1,7 @@
 """For the warm start: take what a method has learned out of its state, and put it into a fresh one."""
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from tilth.estimator.filters.soil_field import KeptSoil
 from tilth.estimator.filters.unknowns import SIX
 from tilth.estimator.methods.pem import PemState, drifted, excess, with_known_masses
-from tilth.estimator.methods.place import PlaceState
+from tilth.estimator.methods.place import PLACE, PlaceState
 from tilth.estimator.methods.rows import RowsState, learned_covariance
 from tilth.estimator.methods.steady_state import SteadyState
 from tilth.estimator.methods.tracker import TrackerState
@@ -111,19 +112,25 @@ def into_rows(state: RowsState, learned: Learned) -> None:
 
 def of_place(state: PlaceState) -> Learned:
     """What this method has learned, from its state: all of it stands in `soil`."""
-    soil = KeptSoil(state.origin_deg, list(state.windows)) if state.origin_deg else None
+    soil = None
+    if state.origin_deg is not None:
+        windows = [replace(one, begin_ns=one.begin_ns - state.informed_ns) for one in state.windows]
+        soil = KeptSoil(state.origin_deg, windows, list(state.way))
     prior = np.diag(state.prior_sd[SIX] ** 2)
     return Learned(state.prior_mean[SIX].copy(), prior, {"window_s": state.window_s}, soil)
 
 
 def into_place(state: PlaceState, learned: Learned) -> None:
-    """Put what was learned into a fresh state."""
+    """Put what was learned into a fresh state, whose `informed_ns` is known: of no pass of this run."""
     state.window_s = _counted(learned, "window_s")
     if learned.soil is not None:
-        state.origin_deg = learned.soil.origin_deg
+        state.origin_deg, since_ns = learned.soil.origin_deg, state.informed_ns
         state.windows = [
-            replace(window, passing=-1) for window in learned.soil.windows
-        ]  # of no pass of this run
+            replace(one, passing=-1, begin_ns=one.begin_ns + since_ns) for one in learned.soil.windows
+        ]
+        last = max((point.passing for point in learned.soil.way), default=0)
+        way = (replace(one, passing=one.passing - last - 1) for one in learned.soil.way)
+        state.way = deque(way, PLACE.way)
 
 
 def _with_excess(covariance: Array, excess: Array) -> Array:

@@ -19,14 +19,17 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.filters import fit_covariance, scoring, unknowns
+from tilth.estimator.filters import fit_covariance, scoring, soil_change, unknowns
 from tilth.estimator.filters.contrast import Contrast, joined
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
+from tilth.estimator.filters.soil_change import SOIL_CHANGE
 from tilth.estimator.filters.soil_field import Told, told
+from tilth.estimator.filters.soil_within import likelihoods
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE, SIX
 from tilth.estimator.methods import fitted
 from tilth.estimator.methods.fitted import FittedState
+from tilth.estimator.models.load import by_another_load
 from tilth.estimator.record.record import Record, Segment, U
 from tilth.estimator.record.windows import close_window, collect
 from tilth.estimator.results import advice, method_state
@@ -236,7 +239,10 @@ def _told(
     published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
-    return told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
+    whole = told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
+    return whole if found.pieces is None else replace(
+        whole, within=likelihoods(found.pieces, wider, prior[1])
+    )  # fmt: skip
 
 
 def _posterior(
@@ -334,10 +340,14 @@ def adopt(state: PemState, machine: Machine, made: Fit | None, t_ns: int) -> Est
     used, state.last = fitted.is_used(state, made), made or state.last
     if job is None or made is None or not used:
         return estimate(state, machine, t_ns)
+    loaded = _another_load(machine, job, made)
+    if loaded is not None:
+        state.events.append((EventKind.LOAD, notice(loaded)))
     if made.changed:
         state.changes += 1
         state.window_s = 0.0
-        state.events.append((EventKind.SOIL_CHANGE, _soil_changed(job, made)))
+        if loaded is None:
+            state.events.append((EventKind.SOIL_CHANGE, _soil_changed(job, made)))
     state.model_sd, state.covariance = _learned_with(state, job, made)
     state.mean = made.mean
     state.informed_ns = job.closed_ns
@@ -358,6 +368,27 @@ def _learned_with(state: PemState, job: Job, made: Fit) -> tuple[Array, Array]:
     covariance = made.covariance.copy()
     covariance[SIX, SIX] += np.diag(np.where(before > 0.0, model_sd**2 - errors**2, 0.0))
     return model_sd, covariance
+
+
+def _another_load(machine: Machine, job: Job, made: Fit) -> NoticeCode | None:
+    """Whether a window shows another load of the implement; None: no, or it is the soil."""
+    if machine.implement.load is None:
+        return None
+    masses = of_masses(job.covariance)
+    before, after = (c[SIX, SIX] for c in (with_known_masses(job.covariance), made.covariance - masses))
+    errors = fit_covariance.model_sd_of(job.record, made.mean)
+    after = after - np.diag(errors**2)
+    if made.changed:  # the window alone, from the prior
+        after, besides = np.zeros((6, 6)), after
+    else:
+        besides = np.zeros((6, 6))
+    found = soil_change.odds(
+        (job.mean[SIX], before), (made.mean[SIX], after), by_another_load(machine),
+        besides + np.diag(2.0 * errors**2),
+    )  # fmt: skip
+    if found.of_load < -SOIL_CHANGE.sure or not (made.changed or found.load > SOIL_CHANGE.loaded):
+        return None
+    return NoticeCode.LOAD_CHANGED if found.of_load > SOIL_CHANGE.sure else NoticeCode.LOAD_OR_SOIL
 
 
 def _soil_changed(job: Job, made: Fit) -> Notice:

@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import soil_field, unknowns
-from tilth.estimator.filters.soil_field import AXLES, SOIL_FIELD, SoilMemory, SoilWindow
+from tilth.estimator.filters.soil_field import (
+    AXLES,
+    SOIL_FIELD,
+    AskedGround,
+    SoilMemory,
+    SoilWindow,
+    WorkedPoint,
+)
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import SIX, Vector
 from tilth.estimator.methods import pem, rows
@@ -37,6 +44,7 @@ from tilth.schemas.reasons import Code
 Array = NDArray[np.float64]
 
 METHOD: Final = "place"
+IMPLEMENT: Final = 2  # of the axles
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +54,12 @@ class PlaceTuning:
     most_windows: int = tuned(32, "stretches", "that are kept; beyond, the two that are nearest become one")
     track_ns: int = tuned(2_000_000_000, "ns", "between two places of the way that is kept")
     lead_ns: int = tuned(10_000_000_000, "ns", "at the end of a row, which a window of the turn may have too")
+    near_m: float = tuned(300.0, "m", "from a way of an earlier run: further off is another field")
     track: int = tuned(
         600, "positions", "of the way, 20 min: a block of rows, and the time until it is fitted"
     )
+    way: int = tuned(1500, "positions", "of corners of the worked way: some hundred passes")
+    straight_m: float = tuned(0.3, "m", "off the line to the next: a place of the worked way is no corner")
     turned: float = tuned(math.radians(120.0), "rad", "from the heading of a pass: the next one begins")
     patchy: float = tuned(
         0.95, "1", "probability of patches with which a change from place to place is no news"
@@ -67,6 +78,7 @@ class TrackPoint:
 
     t_ns: int
     axles: Annotated[Array, Shape((3, 2))]  # north and east, m
+    worked: Annotated[Array, Shape((3,))]  # 1 where the ground had been worked in a pass before, else 0
 
 
 @dataclass(slots=True)
@@ -78,6 +90,7 @@ class PlaceState(MethodState):
     prior_sd: Vector
     windows: list[SoilWindow] = field(default_factory=list)
     track: deque[TrackPoint] = field(default_factory=lambda: deque(maxlen=PLACE.track))
+    way: deque[WorkedPoint] = field(default_factory=lambda: deque(maxlen=PLACE.way))
     axles: Annotated[Array, Shape((3, 2))] | None = None  # where they are now
     origin_deg: tuple[float, float] | None = None  # latitude and longitude, of the plane
     rows_ns: list[tuple[int, int]] = field(default_factory=list)  # of the rows that were fitted last
@@ -85,6 +98,8 @@ class PlaceState(MethodState):
     heading: float = 0.0  # rad, of the pass
     window_s: float = 0.0
     has_number: list[bool] = field(default_factory=lambda: [False] * 6)
+    map_ns: int = 0  # when the field's map, and all else of earlier runs, was told last
+    earlier: SoilMemory | None = field(default=None, metadata=NOT_STORED)  # of windows of earlier runs
     soil: SoilMemory | None = field(default=None, metadata=NOT_STORED)
 
 
@@ -99,10 +114,12 @@ def take(state: PlaceState, machine: Machine, pose: Pose, segment: Any) -> Estim
     if axles is not None:
         _move_origin(state, (pose.origin_latitude_deg, pose.origin_longitude_deg))
         state.axles = axles
-        if not state.track or pose.t_ns - state.track[-1].t_ns >= PLACE.track_ns:
-            state.track.append(TrackPoint(pose.t_ns, axles))
         if abs(wrap((pose.tractor.heading or 0.0) - state.heading)) > PLACE.turned:
             state.passing, state.heading = state.passing + 1, pose.tractor.heading or 0.0
+        if not state.track or pose.t_ns - state.track[-1].t_ns >= PLACE.track_ns:
+            state.track.append(TrackPoint(pose.t_ns, axles, worked(state, machine, axles)))
+            if machine.implement.working_width:
+                _lengthen(state.way, WorkedPoint(state.passing, axles[IMPLEMENT]))
     if not is_due(state, pose.t_ns, REPORTING.publish_ns):
         return None
     return estimate(state, machine, pose.t_ns)
@@ -117,6 +134,37 @@ def _axles(machine: Machine, pose: Pose) -> Array | None:
             return None
         places.append((body.x + metres * math.cos(body.heading), body.y + metres * math.sin(body.heading)))
     return np.array(places)
+
+
+def worked(state: PlaceState, machine: Machine, axles: Array) -> Array:
+    """1 where the implement has worked the ground under an axle in a pass before, else 0, (3,). What it does
+    there nobody tells: that it is let down, not lifted, is taken for granted."""
+    begin, way = np.zeros((0, 2)), state.way
+    if len(way) > 1:
+        places = np.array([point.place for point in way])
+        passing = np.array([point.passing for point in way])
+        leg = (passing[1:] == passing[:-1]) & (passing[1:] != state.passing)
+        begin, along = places[:-1][leg], np.diff(places, axis=0)[leg]
+    if not len(begin):
+        return np.zeros(AXLES)
+    off = _off_legs(axles[:, None], begin, along)
+    return np.asarray(off.min(axis=1) < machine.implement.working_width / 2.0, np.float64)
+
+
+def _off_legs(places: Array, begin: Array, along: Array) -> Array:
+    """How far places, (…, 2), are from the lines that begin there and go so far, m."""
+    share = np.sum((places - begin) * along, axis=-1) / np.maximum(np.sum(along * along, axis=-1), 1e-9)
+    nearest = begin + np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.asarray(np.linalg.norm(places - nearest, axis=-1))
+
+
+def _lengthen(way: deque[WorkedPoint], point: WorkedPoint) -> None:
+    """The way goes on to a point; the one before is left out where it is no corner."""
+    if len(way) > 1 and way[-2].passing == way[-1].passing == point.passing:
+        begin = way[-2].place
+        if _off_legs(way[-1].place, begin, point.place - begin) < PLACE.straight_m:
+            way.pop()
+    way.append(point)
 
 
 def axles_ahead(state: PlaceState, machine: Machine, x: float, y: float) -> Array:
@@ -144,6 +192,8 @@ def _move_origin(state: PlaceState, origin_deg: tuple[float, float]) -> None:
     windows = [replace(window, path=moved(window.path)) for window in state.windows]
     # A plane does not reach round the Earth.
     state.windows = [window for window in windows if np.all(np.isfinite(window.path))]
+    way = [replace(point, place=moved(point.place)) for point in state.way]
+    state.way = deque((p for p in way if np.all(np.isfinite(p.place))), PLACE.way)
     state.track.clear()
 
 
@@ -157,10 +207,12 @@ def window_of(state: PlaceState, job: Any, made: Any) -> SoilWindow | None:
     if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
         return None
     records, method = records_of(job), rows.METHOD if isinstance(made, rows.Fit) else pem.METHOD
-    path = _path(state.track, records)
-    if path is None:
+    within = [p for p in state.track if any(r.t_ns <= p.t_ns <= r.end_ns for r in records)]
+    if not within:
         return None
-    return SoilWindow(method, records[0].t_ns, state.passing, path, made.told)
+    shares = np.mean([p.worked for p in within], axis=0)
+    path = _evenly(np.array([p.axles for p in within]))
+    return SoilWindow(method, records[0].t_ns, state.passing, path, made.told, worked=shares)
 
 
 def in_rows(state: PlaceState, window: SoilWindow, records: Sequence[Record]) -> list[tuple[int, int]]:
@@ -188,7 +240,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     window = window_of(state, job, made)
     if window is None:
         return False
-    path, records = window.path, records_of(job)
+    records = records_of(job)
     state.rows_ns = in_rows(state, window, records)
     kept = beside(state.windows, window, state.rows_ns)
     if kept is None:
@@ -197,7 +249,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     window = replace(window, epoch=kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
-    foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(before, path)
+    foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(before, window)
     if likely < PLACE.unexpected:
         if not of_pem:  # else it is told by pem
             state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
@@ -210,9 +262,10 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     return foreseen
 
 
-def _expects_change(soil: SoilMemory, path: Array) -> bool:
-    """Whether soil on this way is known, or is known to differ from place to place."""
-    return soil.patchy > PLACE.patchy or _common_sd(soil.at(path)) < PLACE.known_sd
+def _expects_change(soil: SoilMemory, window: SoilWindow) -> bool:
+    """Whether soil on its way is known, or is known to differ from place to place."""
+    there = soil.at(window.path, AskedGround(window.begin_ns, window.worked))
+    return soil.patchy > PLACE.patchy or _common_sd(there) < PLACE.known_sd
 
 
 def expects(state: PlaceState, logs: Array) -> bool:
@@ -220,7 +273,7 @@ def expects(state: PlaceState, logs: Array) -> bool:
     as the method has them while they are still roughly known, (n,)."""
     if state.axles is None or not state.windows:
         return False
-    there = _soil(state).at(state.axles)
+    there = _soil(state).at(state.axles, _asked(state))
     off = float(np.mean((logs[SIX] - state.prior_mean[SIX] - there.mean)[:AXLES]))
     sd = _common_sd(there)
     return sd < PLACE.known_sd and abs(off) < 2.0 * math.hypot(sd, PLACE.known_sd)
@@ -233,7 +286,8 @@ def _common_sd(there: soil_field.At) -> float:
 
 def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
     """By which factors a window tells otherwise than was expected of its way."""
-    expected, weak = before.at(window.path), np.diag(before.prior_sd**-2.0)
+    expected = before.at(window.path, AskedGround(window.begin_ns, window.worked))
+    weak = np.diag(before.prior_sd**-2.0)
     found = np.linalg.inv(window.told.information + weak)
     variances = np.diag(found) + np.diag(expected.covariance)
     return pem.soil_changed(found @ window.told.vector - expected.mean, np.sqrt(variances))
@@ -245,13 +299,8 @@ def _begins_in(begin_ns: int, rows_ns: Sequence[tuple[int, int]]) -> bool:
     return any(begin <= begin_ns < end - PLACE.lead_ns for begin, end in rows_ns)
 
 
-def _path(track: Sequence[TrackPoint], records: Sequence[Record]) -> Array | None:
-    """Places of the axles in these records, (SOIL_FIELD.points, 3, 2); None where they are not known."""
-    within = [p.axles for p in track if any(r.t_ns <= p.t_ns <= r.end_ns for r in records)]
-    return _evenly(np.array(within)) if within else None
-
-
 def _evenly(path: Array) -> Array:
+    """SOIL_FIELD.points of a path, (n, 3, 2)."""
     return path[np.linspace(0, len(path) - 1, SOIL_FIELD.points).round().astype(np.int64)]
 
 
@@ -285,12 +334,13 @@ def estimate_at(
     covariance[SIX, SIX] = np.diag(state.prior_sd[SIX] ** 2)
     of_place, patchy = None, 0.0
     if axles is not None and state.windows and state.origin_deg is not None:
-        soil = _soil(state)
-        there, patchy = soil.at(axles), soil.patchy
+        soil, asked = _soil(state), AskedGround(t_ns, worked(state, machine, axles))
+        there, patchy = soil.at(axles, asked), soil.patchy
         mean[SIX] += there.mean
         covariance[SIX, SIX] = there.covariance + pem.of_masses(np.diag(state.prior_sd**2))[SIX, SIX]
-        shares = soil.shares(axles, [window.passing == state.passing for window in soil.windows])
-        of_place = SoilPlace(*to_degrees(state.origin_deg, *axles[1].tolist()), there.length_m, *shares)
+        shares = soil.shares(axles, [window.passing == state.passing for window in soil.windows], asked)
+        at = to_degrees(state.origin_deg, *axles[1].tolist())
+        of_place = SoilPlace(*at, there.length_m, *shares, tuple(mean[SIX].tolist()))
     learned = SixState(
         mean, covariance, state.prior_mean, state.prior_sd,
         informed_ns=state.informed_ns if of_place else 0, window_s=state.window_s, has_number=had,
@@ -306,7 +356,38 @@ def elsewhere(state: PlaceState) -> Array:
     """How much more uncertain the six, (6, 6), are here for a method that knows no place."""
     if state.axles is None or not state.windows:
         return np.zeros((6, 6))
-    return _soil(state).elsewhere(state.axles)
+    return _soil(state).elsewhere(state.axles, _asked(state))
+
+
+def _asked(state: PlaceState) -> AskedGround:
+    """Of where the rig is now."""
+    return AskedGround(worked=state.track[-1].worked) if state.track else AskedGround()
+
+
+def by_earlier_runs(state: PlaceState) -> soil_field.At | None:
+    """What earlier runs alone tell of where the rig is; None on another field than theirs."""
+    told = [window for window in state.windows if window.passing < 0]
+    if state.axles is None or not told:
+        return None
+    ways = np.concatenate([window.path[:, 1] for window in told])
+    if float(np.linalg.norm(ways - state.axles[1], axis=1).min()) > PLACE.near_m:
+        return None
+    if state.earlier is None or list(map(id, state.earlier.windows)) != list(map(id, told)):
+        state.earlier = SoilMemory(told, state.prior_sd)
+    return state.earlier.at(state.axles, _asked(state))
+
+
+def add(state: PlaceState, field_map: PlaceState) -> None:
+    """Before the first frame: what a season tells of its fields. Of what the rig itself has kept, only what
+    is later than that counts beside it: the season may have the same driving."""
+    if field_map.origin_deg is None:
+        return
+    later = [window for window in state.windows if window.begin_ns > field_map.informed_ns]
+    if state.origin_deg is not None:
+        _move_origin(field_map, state.origin_deg)
+    state.origin_deg, state.windows = field_map.origin_deg, [*field_map.windows, *later]
+    state.informed_ns = max(field_map.informed_ns, state.informed_ns if later else 0)
+    state.map_ns = state.informed_ns
 
 
 def _soil(state: PlaceState) -> SoilMemory:
@@ -319,8 +400,10 @@ def _soil(state: PlaceState) -> SoilMemory:
 
 
 def clock_stepped(state: PlaceState, by_ns: int) -> None:
-    """The log's clock stepped back: what windows have told stays, and where."""
+    """The log's clock stepped back: what windows have told stays, where, and how long ago."""
     state.track.clear()
     state.rows_ns.clear()
     state.axles = None
+    state.windows = [replace(window, begin_ns=window.begin_ns + by_ns) for window in state.windows]
+    state.map_ns += by_ns if state.map_ns else 0
     step_clock(state, by_ns)

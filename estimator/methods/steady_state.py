@@ -135,6 +135,7 @@ class SteadyState(MethodState):
     steady_s: float = 0.0  # of turning, used
     sideslip_s: float = 0.0
     largest_angle: float = 0.0  # of the wheels, that stiffnesses were learned at, rad
+    lateral_square: float = 0.0  # mean square of the lateral acceleration there, m^2/s^4
     mean_nis: float = 1.0  # recent mean of the normalised innovation squared per output; 1 is as expected
     forgotten: int = 0  # times that the stiffnesses were reset
     supported: list[bool] = field(default_factory=lambda: [False] * 3)  # of each stiffness, with hysteresis
@@ -235,8 +236,12 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     _find_posterior(state)
     if informative:
         state.largest_angle = max(state.largest_angle, abs(sample.wheel_angle - zero))
-        state.steady_s += STEADY_DRIVING.block * ALIGNMENT.pose_ns * 1e-9
-        state.sideslip_s += 0.0 if sample.v is None else STEADY_DRIVING.block * ALIGNMENT.pose_ns * 1e-9
+        added_s = STEADY_DRIVING.block * ALIGNMENT.pose_ns * 1e-9
+        state.steady_s += added_s
+        state.lateral_square += (
+            ((sample.u * sample.yaw_rate) ** 2 - state.lateral_square) * added_s / state.steady_s
+        )
+        state.sideslip_s += 0.0 if sample.v is None else added_s
     return informative
 
 
@@ -289,7 +294,7 @@ def _reset_stiffness(state: SteadyState) -> None:
     state.P[:, changed] = 0.0
     state.P[changed, changed] = np.concatenate([np.full(3, STEADY_STATE.wide_sd), state.prior_sd[SOIL]]) ** 2
     state.mean_nis = 1.0
-    state.steady_s = state.sideslip_s = state.largest_angle = 0.0
+    state.steady_s = state.sideslip_s = state.largest_angle = state.lateral_square = 0.0
     state.forgotten += 1
 
 
@@ -377,10 +382,9 @@ def _find_posterior(state: SteadyState) -> None:
     # Errors of the model, as far as anything was learned.
     learned = np.maximum(1.0 - np.diag(covariance) / state.prior_sd[:3] ** 2, 0.0)
     tight = state.largest_angle > fit_covariance.FIT_COVARIANCE.tight
-    room = np.square(
-        fit_covariance.FIT_COVARIANCE.tight_sd[:3] if tight else fit_covariance.FIT_COVARIANCE.model_sd
-    )
-    state.log_covariance = covariance + np.diag(learned * room)
+    lateral, all_six = math.sqrt(state.lateral_square), np.concatenate([at, np.zeros(3)])
+    errors = fit_covariance.model_sd(tight, lateral, 0.0, all_six, held=1.0)[:3]
+    state.log_covariance = covariance + np.diag(learned * errors**2)
 
 
 def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> tuple[int, float | None]:

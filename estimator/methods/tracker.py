@@ -19,7 +19,8 @@ from tilth.estimator.filters.predictor import run_ticks
 from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.propagation import GroundNoise, first_covariance
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
-from tilth.estimator.filters.soil_change import Checkpoint
+from tilth.estimator.filters.soil_change import SOIL_CHANGE, Checkpoint
+from tilth.estimator.filters.soil_field import At
 from tilth.estimator.filters.states import DT, N_STATES, START, X_BANK, X_DISTURBANCE, X_PSI, X_ROLL
 from tilth.estimator.filters.tracker_kernel import (
     BAD,
@@ -42,6 +43,7 @@ from tilth.estimator.filters.unknowns import (
 )
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.pem import of_masses, with_known_masses
+from tilth.estimator.models.load import by_another_load
 from tilth.estimator.record.record import INPUTS, PSI, WHEEL_ANGLE, Record, Segment, U
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import Advisor
@@ -153,6 +155,10 @@ class TrackerState(SixState):
         default_factory=lambda: list(NEED_STEERING)
     )  # unknowns learned only with steering
     by_steering: bool = True  # slopes are those of steering alone, after a first look
+    map_mean: Annotated[Array, Shape((6,))] | None = None  # what the field's map says of where the rig is
+    map_information: Annotated[Array, Shape((6, 6))] = field(default_factory=lambda: np.zeros((6, 6)))
+    """That has come from the map, as a prior."""
+    map_ns: int = 0  # when its last data were taken
 
 
 _USUAL_DISTURBANCE: Final = np.log(np.square([*PRIOR.disturbance, PRIOR.uneven]))  # of the variances
@@ -245,7 +251,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         SegmentArrays(ticks, first, count, np.ascontiguousarray(record.rows)),
         JointEstimate(state.x, state.mean, state.P_xx, state.P_xtheta, state.covariance, state.instrument),
         setup, active, considered, ground, tally,
-        state.by_steering and state.window_s >= TRACKER.initial_phase_s,
+        state.by_steering and (state.window_s >= TRACKER.initial_phase_s or state.map_mean is not None),
     )  # fmt: skip
     state.counts += tally.counts
     if not _is_sound(state):
@@ -262,7 +268,7 @@ def _learn(state: TrackerState, machine: Machine, record: Record, after: Array |
         if tight:  # there errors of the model look like another soil
             state.checkpoints.clear()
         else:
-            _detect_soil_change(state)
+            _detect_soil_change(state, machine)
         state.informed_ns = record.end_ns
         _count(state, record, tight)
 
@@ -314,7 +320,7 @@ def _count(state: TrackerState, record: Record, tight: bool) -> None:
     state.hard += seconds * fit_covariance.lateral_square(record)
     before, state.window_s = state.window_s, state.window_s + seconds
     state.tight_s += seconds if tight else 0.0
-    if state.by_steering and before < TRACKER.initial_phase_s <= state.window_s:
+    if state.by_steering and state.map_mean is None and before < TRACKER.initial_phase_s <= state.window_s:
         sds = np.maximum(np.sqrt(state.covariance.diagonal()[SIX]), TRACKER.initial_phase_sd)
         _decorrelate_six(state, sds)
 
@@ -325,6 +331,29 @@ def _decorrelate_six(state: TrackerState, sds: Array) -> None:
     state.covariance[SIX, SIX] = np.diag(sds**2)
     state.P_xtheta[:, SIX] = 0.0
     state.checkpoints.clear()
+
+
+def expect(state: TrackerState, there: At, told_ns: int) -> None:
+    """What earlier runs tell of the soil where the rig is now, before the wheels learn it, told_ns: when.
+
+    Once, before anything is learned today, it is the prior of the six in place of all that is known; then
+    only how soil differs from place to place is followed, which is no information on what it is.
+    """
+    if state.map_mean is not None:
+        moved = there.mean - state.map_mean
+        state.mean[SIX] += moved
+        for checkpoint in state.checkpoints:
+            checkpoint.mean += moved
+    elif state.counts[USED] or (np.sqrt(np.diag(there.covariance)[:3]) > TRACKER.initial_phase_sd).any():
+        return  # it begins as if there were no map
+    else:
+        prior_sd = state.prior_sd[SIX]
+        state.mean[SIX] = state.prior_mean[SIX] + there.mean
+        _decorrelate_six(state, prior_sd)
+        state.covariance[SIX, SIX] = there.covariance
+        state.map_information = advice.information_of(there.covariance, prior_sd)
+        state.informed_ns, state.window_s, state.tight_s, state.hard = 0, 0.0, 0.0, 0.0
+    state.map_mean, state.map_ns = there.mean, told_ns
 
 
 def _articulation(record: Record) -> float:
@@ -381,11 +410,15 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     state.disturbance = np.exp(logs + (_USUAL_DISTURBANCE - logs) / TRACKER.disturbance_forgetting)
 
 
-def _detect_soil_change(state: TrackerState) -> None:
+def _detect_soil_change(state: TrackerState, machine: Machine) -> None:
     """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
     if change is not None and change.ratio > soil_change.limit(math.sqrt(state.disturbance[3])):
-        _forget_soil(state, change.logs)
+        odds = _odds_of_load(state, machine, change.since)
+        if odds > -SOIL_CHANGE.sure:
+            _load_changed(state, odds)
+        if odds < SOIL_CHANGE.sure:
+            _forget_soil(state, change.logs, told=odds <= -SOIL_CHANGE.sure)
         return
     state.segments_since_checkpoint += 1
     if state.segments_since_checkpoint >= soil_change.SOIL_CHANGE.checkpoint_segments:
@@ -394,8 +427,26 @@ def _detect_soil_change(state: TrackerState) -> None:
         del state.checkpoints[: -soil_change.SOIL_CHANGE.most_checkpoints]
 
 
-def _forget_soil(state: TrackerState, logs: Array) -> None:
-    """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay."""
+def _odds_of_load(state: TrackerState, machine: Machine, since: Checkpoint) -> float:
+    """As soil_change.Odds; of an implement that carries nothing, that it is the soil."""
+    if machine.implement.load is None:
+        return -math.inf
+    before, after = (since.mean, since.covariance), (state.mean[SIX], state.covariance[SIX, SIX])
+    return soil_change.odds(before, after, by_another_load(machine), np.zeros((6, 6))).of_load
+
+
+def _load_changed(state: TrackerState, odds: float) -> None:
+    """The fold opens up what all methods have learned of the implement."""
+    code = NoticeCode.LOAD_CHANGED if odds > SOIL_CHANGE.sure else NoticeCode.LOAD_OR_SOIL
+    state.events.append((EventKind.LOAD, notice(code)))
+    state.running = False
+    state.checkpoints.clear()
+    state.changed_ns = state.last_pose_ns
+
+
+def _forget_soil(state: TrackerState, logs: Array, told: bool) -> None:
+    """Reset the six to the prior's covariance, with means shifted by the change; nuisances stay. told: as an
+    event."""
     state.mean[SIX] += np.clip(logs, -TRACKER.largest_change, TRACKER.largest_change)
     _decorrelate_six(state, state.prior_sd[SIX])
     state.running = False  # what the wrong soil has made of the motion would be learned as tyres
@@ -403,8 +454,10 @@ def _forget_soil(state: TrackerState, logs: Array) -> None:
     state.changed_ns = state.last_pose_ns
     state.apart = np.zeros(6)  # of the soil before
     state.window_s = state.tight_s = state.hard = 0.0
+    state.map_information = np.zeros((6, 6))  # it is not what the map knows
     # That something has changed is known seconds before it is known what, and by how much.
-    state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
+    if told:
+        state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
 
 
 def clock_stepped(state: TrackerState, by_ns: int) -> None:
@@ -414,6 +467,7 @@ def clock_stepped(state: TrackerState, by_ns: int) -> None:
     step_clock(state, by_ns)
     state.last_pose_ns = 0
     state.changed_ns += by_ns if state.changed_ns else 0
+    state.map_ns += by_ns if state.map_ns else 0
 
 
 def learn(state: TrackerState, job: Any, made: Any) -> bool:
@@ -428,11 +482,17 @@ def learn(state: TrackerState, job: Any, made: Any) -> bool:
     return False
 
 
-def reported_covariance(state: TrackerState) -> Array:
+def reported_covariance(state: TrackerState, of_map: bool = True) -> Array:
     """Reported covariance of the six logarithms, (6, 6): the information of the data over `sd_factor`
-    squared, errors of the model, and what is not known of the masses."""
+    squared, errors of the model, and what is not known of the masses. of_map: with what the map has told."""
     prior_sd = state.prior_sd[SIX]
-    information = advice.information_of(state.covariance[SIX, SIX], prior_sd) / TRACKER.sd_factor**2
+    information = advice.information_of(state.covariance[SIX, SIX], prior_sd)
+    if state.map_mean is None:
+        information = information / TRACKER.sd_factor**2
+    else:
+        sizes, axes = np.linalg.eigh(information - state.map_information)
+        information = (axes * np.maximum(sizes, 0.0)) @ axes.T / TRACKER.sd_factor**2
+        information = information + state.map_information * of_map
     covariance = np.asarray(np.linalg.inv(information + np.diag(prior_sd**-2.0)), np.float64)
     tight = state.tight_s > fit_covariance.FIT_COVARIANCE.tight_share * state.window_s
     lateral = math.sqrt(state.hard / max(state.window_s, DT))
@@ -454,6 +514,7 @@ def estimate(state: TrackerState, machine: Machine, t_ns: int) -> Estimate:
         state, machine, t_ns, METHOD, reported_covariance(state), Code.NOTHING_LEARNED,
         _excitation(state, t_ns), state.advisor.advice,
         stale_reason(Code.NOT_LEARNED_FOR, age_s(state.informed_ns, t_ns)),
+        reported_covariance(state, of_map=False) if state.map_mean is not None else None,
     )  # fmt: skip
 
 
@@ -475,6 +536,8 @@ def _excitation(state: TrackerState, t_ns: int) -> dict[str, float]:
         slope = math.asin(max(-1.0, min(1.0, float(state.x[X_BANK]) / GRAVITY)))
         leans = (float(state.x[X_ROLL]), float(state.x[X_ROLL + 1]), slope)
         excitation |= {name: math.degrees(angle) for name, angle in zip(LEANS, leans, strict=True)}
+    if state.map_mean is not None:
+        excitation["map_age_s"] = (t_ns - state.map_ns) * 1e-9
     if state.changed_ns:
         excitation[SINCE_CHANGE] = (t_ns - state.changed_ns) * 1e-9
     return excitation

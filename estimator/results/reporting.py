@@ -130,14 +130,16 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
 
 def six_parameter_estimate(
     state: SixState, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
-    excitation: dict[str, float], advised: Advice | None, stale: Reason | None,
+    excitation: dict[str, float], advised: Advice | None, stale: Reason | None, today: Array | None = None,
 ) -> Estimate:  # fmt: skip
     """The estimate at t_ns of a method that learns all six logarithms.
 
     covariance: (6, 6), the reported one, with the whole variance of the masses. nothing: why there is no
-    number while nothing has been learned. stale: why the numbers are stale.
+    number while nothing has been learned. stale: why the numbers are stale. today: (6, 6), without what a map
+    of the field has told, which alone gives no number.
     """
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
+    by_today = sds if today is None else np.sqrt(np.diag(today))
     information = advice.information_of(covariance, prior_sd)
     eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
@@ -149,8 +151,8 @@ def six_parameter_estimate(
         for had, sd, own in zip(state.has_number, over_sds, prior_sd[:3].tolist(), strict=False)
     ]
     for k in range(6):
-        state.has_number[k] = age is not None and is_supported(state.has_number[k], sds[k], prior_sd[k])
-        too_wide = Reason(Code.WIDE, numbers=(float(sds[k]),))
+        state.has_number[k] = age is not None and is_supported(state.has_number[k], by_today[k], prior_sd[k])
+        too_wide = Reason(Code.WIDE, numbers=(float(by_today[k]),))
         if k < 3 and over[k]:
             too_wide = of_the_mass(k, float(state.prior_sd[AT[OVER[k]]]), over_sds[k])
         missing = nothing_yet(nothing, state.reason) if age is None else too_wide

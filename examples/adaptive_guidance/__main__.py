@@ -49,7 +49,8 @@ class ControlLoop:
             else:
                 self.controller.pose(pose, at)
         if self.adapting:
-            self.force = self.controller.estimate(self.wires.latest(), now)
+            self.wires.place = self.controller.ahead()
+            self.force = self.controller.estimate(self.wires.latest(), now, self.wires.ahead())
         self.wires.send(self.controller.command(self.wires.now()))
 
     def report(self) -> dict[str, object]:

@@ -45,8 +45,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.notices import in_words
 from tilth.simulator.demo import STOP, DemoError, demo_errors, first_fact, on_loopback
-from tilth.simulator.receivers import ORIGIN_DEG
-from tilth.simulator.scenario import as_json
+from tilth.simulator.scenario import ORIGIN_DEG, as_json
 from tilth.simulator.simulate import PACKAGED
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)

@@ -90,6 +90,11 @@ class Follower:
         self._given = deque([(-math.inf, 0.0)], maxlen=64)
 
     @property
+    def speed(self) -> float | None:
+        """Of the last pose, m/s; None before it."""
+        return None if self._pose is None else self._pose.speed
+
+    @property
     def done(self) -> bool:
         """Whether the end of the plan is reached."""
         return self.station >= len(self.plan.row) - 20

@@ -28,8 +28,7 @@ from tilth.logger.guarded_fold import GuardedFold
 from tilth.schemas.flow import PARAMETERS, Estimate, Frame, Pose
 from tilth.schemas.machine import Machine
 from tilth.simulator.drive import drive
-from tilth.simulator.receivers import ORIGIN_DEG
-from tilth.simulator.scenario import STEP_S, Scenario
+from tilth.simulator.scenario import ORIGIN_DEG, STEP_S, Scenario
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.tractor import Setting, Truth
 
@@ -66,6 +65,7 @@ class Loop:
     trace: RunTrace = field(default_factory=RunTrace)
     _next: float = FIRST_S
     _last: tuple[float, Estimate] | None = None
+    _ahead: Estimate | None = None  # asked for with the last
 
     def __call__(self, now: float, frames: list[Frame]) -> list[tuple[int, bytes]]:
         for frame in frames:
@@ -76,6 +76,8 @@ class Loop:
                 elif isinstance(value, Estimate) and publication.topic == "/soil_tire":
                     self._last = now, value
                     self.trace.estimates.append(self._last)
+                    place = self.controller.ahead()
+                    self._ahead = None if place is None else self.fold.estimate_at(*place)
         while self.estimates and self.estimates[0][0] <= now:
             self._last = self.estimates.pop(0)
         if now < self._next - STEP_S / 2:
@@ -83,7 +85,8 @@ class Loop:
         self._next += PERIOD_S
         if self.mode == "adapting":
             estimate, age = (None, math.inf) if self._last is None else (self._last[1], now - self._last[0])
-            self.controller.estimate(judge(estimate, age, STALE), now)
+            ahead = None if self._ahead is None else judge(self._ahead, age, STALE)
+            self.controller.estimate(judge(estimate, age, STALE), now, ahead)
         elif self.mode == "knowing":
             self.controller.follower.theta = self.truth(now)
         self.trace.theta.append(self.controller.follower.theta)

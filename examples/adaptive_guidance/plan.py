@@ -31,6 +31,7 @@ class Work:
     spacing: float = 36.0
     radius: float = 12.0  # of the rear axle, in turns
     rows_before: int | None = None  # the soil changes; None: half of them
+    beside: float | None = None  # of a row, the next but one: two lands are worked at once; None: one land
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +89,15 @@ def _curvature(work: Work) -> tuple[Array, NDArray[np.int64]]:
     """Curvature of the rear axle's path, and the number of the row, at each sample."""
     quarter = _quarter(work.radius)
     across = _shift(quarter)
-    if work.spacing < 2 * across:
-        raise ValueError(
-            f"rows {work.spacing:g} m apart need turns of a smaller radius than {work.radius:g} m"
-        )
-    between = np.zeros(round((work.spacing - 2 * across) / STEP))
+    back = work.spacing if work.beside is None else work.spacing - work.beside
+    if back < 2 * across:
+        raise ValueError(f"rows {back:g} m apart need turns of a smaller radius than {work.radius:g} m")
     straight, run_in = round(work.length / STEP), round(RUN_IN / STEP)
-    turn = np.concatenate([quarter, between, quarter])
     pieces, rows = [np.zeros(straight)], [np.zeros(straight, np.int64)]
     for k in range(1, work.rows):
-        side = 1.0 if k % 2 else -1.0  # at the northern end to the right
+        between = np.zeros(round(((work.spacing if k % 2 else back) - 2 * across) / STEP))
+        turn = np.concatenate([quarter, between, quarter])
+        side = 1.0 if k % 2 or work.beside is not None else -1.0  # at the northern end to the right
         pieces += [side * turn, np.zeros(straight)]
         number = np.full(straight, k)
         number[:run_in] = -k

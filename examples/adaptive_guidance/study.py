@@ -38,7 +38,7 @@ SETTLED_S: Final = 10.0  # of the start that do not count
 DRAWN_S: Final = 0.5  # between points of the figure
 WRONG_SD: Final = 3.0
 PATCHES: Final = (1, 2, 3, 4, 5)  # seeds of fields in patches
-BESIDE: Final = replace(WORK, spacing=36.0, radius=12.0)  # as near as turns of that radius allow
+LANDS: Final = replace(WORK, spacing=42.0, radius=12.0, beside=6.0)  # as near as turns of that radius allow
 STRAYED_S: Final = 15.0  # longer than the plan takes: on the first soft end the rig swings by a metre
 LEARNED: Final = 2  # rows that are driven before it is counted
 LEAST_GAP: Final = 0.1  # between fixed and all-knowing gains, that counts
@@ -231,7 +231,7 @@ def _patches_table(machine: Machine) -> None:
     """Fields in patches, after the second row: how much of the gap to all-knowing gains is recovered."""
     _say("| seed, where | fixed | adapting | knowing, cm | of the gap recovered |\n|---|---|---|---|---|")
     for seed in PATCHES:
-        runs = [driven(machine, seed, mode, BESIDE, patches=True, slack_s=STRAYED_S) for mode in MODES]
+        runs = [driven(machine, seed, mode, LANDS, patches=True, slack_s=STRAYED_S) for mode in MODES]
         for where, turn in (("rows", False), ("turns", True)):
             fixed, adapting, knowing = (rms([one], True, turn) for one in runs)
             counts = fixed - knowing >= LEAST_GAP * fixed

@@ -13,9 +13,10 @@ import zenoh
 
 from tilth.adaptive_guidance.controller import STALE
 from tilth.client import Client, HeardRig, Latest
+from tilth.client.latest import judge
 from tilth.client.link import Link, base_key, open_session
 from tilth.client.received import Refused, pose_of
-from tilth.schemas.flow import Pose
+from tilth.schemas.flow import Estimate, Pose
 
 UNHEARD: Final = 1000  # frames, at most, thrown away before a command
 WAITING: Final = 32  # poses that may wait for the loop; older ones are dropped
@@ -40,7 +41,10 @@ class Wires:
         self._poses: queue.Queue[Pose] = queue.Queue(WAITING)
         self._refused: Counter[str] = Counter()
         session = open_session(endpoint)
+        self.place: tuple[float, float] | None = None  # of which to ask, as of Controller.ahead
+        self._ahead: tuple[Estimate, float] | None = None  # and when it came, s
         self._client = Client(session, self._base, "", STALE)
+        self._client.on_estimate(self._ask)
         self._link = Link(session)
         self._link.hear(session.declare_subscriber(f"{self._base}/pose"), self._take)
 
@@ -64,6 +68,13 @@ class Wires:
 
     def latest(self) -> Latest:
         return self._client.latest()
+
+    def ahead(self) -> Latest | None:
+        """What the memory by place has said last of `place`; None before that."""
+        if self._ahead is None:
+            return None
+        estimate, at = self._ahead
+        return judge(estimate, time.monotonic() - at, STALE)
 
     def poses(self) -> Iterable[Pose]:
         """Those that came since the last call."""
@@ -100,6 +111,15 @@ class Wires:
         self._link.close()
         if self._bus is not None:
             self._bus.shutdown()
+
+    def _ask(self, _: Latest) -> None:
+        """In a thread of the client, with each estimate."""
+        if self.place is None:
+            return
+        try:
+            self._ahead = self._client.estimate_at(*self.place), time.monotonic()
+        except LookupError as error:
+            self._refused[str(error)] += 1
 
     def _take(self, sample: zenoh.Sample) -> None:
         """In a thread that hears."""

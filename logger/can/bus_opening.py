@@ -14,7 +14,7 @@ import can
 from tilth.logger.can import claim_request, slcan, socketcan
 from tilth.logger.can.port import LibraryPort, Port, Tally
 from tilth.logger.clock import Clock
-from tilth.schemas.machine import Bus, MachineError
+from tilth.schemas.machine import Bus, Machine, MachineError
 
 # What makes an interface listen without acknowledging, where python-can can ask for it; nothing is sent then.
 # The machine file's own options go over these.
@@ -38,6 +38,12 @@ _ADVICE: Mapping[int, str] = {
     errno.EPERM: "allow this user to open it",
     errno.EADDRINUSE: "choose another port",
 }
+
+
+def check_interfaces(machine: Machine) -> None:
+    """As `check_interface`, of all its buses."""
+    for bus in machine.bus:
+        check_interface(bus)
 
 
 def check_interface(config: Bus) -> None:

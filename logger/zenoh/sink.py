@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -16,6 +17,9 @@ from tilth.logger.zenoh.session import open_session
 from tilth.schemas.channels import CHANNEL, CHANNELS
 from tilth.schemas.limiter import asked_by
 from tilth.schemas.machine import Machine
+
+if TYPE_CHECKING:
+    from tilth.logger.zenoh.ros_node import RosNode
 
 STALE_NS = 5_000_000_000  # estimates come each second: five missed in a row are no hiccup of the network
 # What is computed from frames ends with them. Rig, status and events are the process's own: the last holds.
@@ -54,6 +58,7 @@ class ZenohSink:
             for channel in CHANNELS
             if channel.key is not None
         }
+        self._ros = self._ros_node(machine, bool(prefix_suffix)) if machine.zenoh.ros else None
         self._now_ns = now_ns
         self._last: dict[str, tuple[int, bytes]] = {}  # topic -> when it was put, what a get answers
         self.put("/rig", CHANNEL["/rig"].encode(machine))
@@ -76,6 +81,8 @@ class ZenohSink:
             return
         try:
             publisher.put(data)
+            if self._ros is not None:
+                self._ros.put(topic, data)
         except zenoh.ZError:
             self.failures += 1
         self._last[topic] = (self._now_ns(), data)
@@ -88,10 +95,21 @@ class ZenohSink:
                 self._session.close()
                 return
             self._queryable.undeclare()
+            if self._ros is not None:
+                self._ros.close()
             for publisher in self._publishers.values():
                 publisher.undeclare()
         except zenoh.ZError:
             self.failures += 1
+
+    def _ros_node(self, machine: Machine, replayed: bool) -> "RosNode | None":
+        try:
+            from tilth.logger.zenoh.ros_node import RosNode  # of an extra, and a third of a second
+        except ModuleNotFoundError as error:
+            missing = f"nothing is published for ROS: no {error.name} here; install `tilth[ros]`"
+            self.note = "; ".join(part for part in (self.note, missing) if part)
+            return None
+        return RosNode(self._session, machine, replayed)
 
     def _asked(self, take: Callable[[zenoh.Query, str], None], query: zenoh.Query) -> None:
         take(query, asked_by(query, self._session))

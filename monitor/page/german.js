@@ -39,6 +39,8 @@ export const GERMAN = {
   "the wheels' sensor": "der Lenkwinkelsensor",
   "✔ Accepted: it is in the log, and used.": "✔ Angenommen: aufgezeichnet und benutzt.",
   "✘ Not accepted: {}": "✘ Nicht angenommen: {}",
+  "full": "voll", "half": "halb", "empty": "leer", "carries {} t ± {} t": "trägt {} t ± {} t",
+  "carries: nobody has said what (full: {} t)": "trägt: niemand hat gesagt, was (voll: {} t)",
   "Implement": "Gerät", "A new run begins.": "Eine neue Fahrt beginnt.", "✘ Not changed: {}": "✘ Nicht gewechselt: {}",
   "This is a recorded simulated drive, while this computer gets ready{}.": "Das ist eine aufgezeichnete simulierte Fahrt, bis dieser Rechner bereit ist{}.",
   "Your own demo is recorded already.": "Die eigene Demo wird schon aufgezeichnet.",

@@ -85,7 +85,7 @@ function show() {
   const status = heard.status ?? {};
   showRun(status);
   showProblems(status);
-  implement.show(status.implement, live("status") && !heard.player ? (status.implements ?? []) : []);
+  implement.show(live("status") && !heard.player ? status : {});
   moved.show(live("status") && !heard.player ? (status.moved ?? []) : []);
   showPreparing(status);
   showFacts(status);

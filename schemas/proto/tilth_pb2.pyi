@@ -33,7 +33,7 @@ class CanFrame(_message.Message):
     def __init__(self, rx_ns: _Optional[int] = ..., can_id: _Optional[int] = ..., extended: _Optional[bool] = ..., error: _Optional[bool] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class Measurement(_message.Message):
-    __slots__ = ("t_ns", "rx_ns", "bus", "source", "name", "mount", "pgn", "sid", "sd", "latitude_deg", "longitude_deg", "altitude_m", "repeat", "course", "speed", "heading", "yaw_rate", "roll", "pitch", "fix", "satellites", "hdop", "utc_ns", "angle", "curvature", "direction", "manufacturer", "identity")
+    __slots__ = ("t_ns", "rx_ns", "bus", "source", "name", "mount", "pgn", "sid", "sd", "latitude_deg", "longitude_deg", "altitude_m", "repeat", "course", "speed", "heading", "yaw_rate", "roll", "pitch", "fix", "satellites", "hdop", "utc_ns", "angle", "curvature", "direction", "manufacturer", "identity", "whole_mass", "carried_mass")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     RX_NS_FIELD_NUMBER: _ClassVar[int]
     BUS_FIELD_NUMBER: _ClassVar[int]
@@ -62,6 +62,8 @@ class Measurement(_message.Message):
     DIRECTION_FIELD_NUMBER: _ClassVar[int]
     MANUFACTURER_FIELD_NUMBER: _ClassVar[int]
     IDENTITY_FIELD_NUMBER: _ClassVar[int]
+    WHOLE_MASS_FIELD_NUMBER: _ClassVar[int]
+    CARRIED_MASS_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     rx_ns: int
     bus: str
@@ -90,7 +92,9 @@ class Measurement(_message.Message):
     direction: str
     manufacturer: int
     identity: int
-    def __init__(self, t_ns: _Optional[int] = ..., rx_ns: _Optional[int] = ..., bus: _Optional[str] = ..., source: _Optional[int] = ..., name: _Optional[int] = ..., mount: _Optional[str] = ..., pgn: _Optional[int] = ..., sid: _Optional[int] = ..., sd: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., altitude_m: _Optional[float] = ..., repeat: _Optional[bool] = ..., course: _Optional[float] = ..., speed: _Optional[float] = ..., heading: _Optional[float] = ..., yaw_rate: _Optional[float] = ..., roll: _Optional[float] = ..., pitch: _Optional[float] = ..., fix: _Optional[str] = ..., satellites: _Optional[int] = ..., hdop: _Optional[float] = ..., utc_ns: _Optional[int] = ..., angle: _Optional[float] = ..., curvature: _Optional[float] = ..., direction: _Optional[str] = ..., manufacturer: _Optional[int] = ..., identity: _Optional[int] = ...) -> None: ...
+    whole_mass: float
+    carried_mass: float
+    def __init__(self, t_ns: _Optional[int] = ..., rx_ns: _Optional[int] = ..., bus: _Optional[str] = ..., source: _Optional[int] = ..., name: _Optional[int] = ..., mount: _Optional[str] = ..., pgn: _Optional[int] = ..., sid: _Optional[int] = ..., sd: _Optional[float] = ..., latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., altitude_m: _Optional[float] = ..., repeat: _Optional[bool] = ..., course: _Optional[float] = ..., speed: _Optional[float] = ..., heading: _Optional[float] = ..., yaw_rate: _Optional[float] = ..., roll: _Optional[float] = ..., pitch: _Optional[float] = ..., fix: _Optional[str] = ..., satellites: _Optional[int] = ..., hdop: _Optional[float] = ..., utc_ns: _Optional[int] = ..., angle: _Optional[float] = ..., curvature: _Optional[float] = ..., direction: _Optional[str] = ..., manufacturer: _Optional[int] = ..., identity: _Optional[int] = ..., whole_mass: _Optional[float] = ..., carried_mass: _Optional[float] = ...) -> None: ...
 
 class BodyPose(_message.Message):
     __slots__ = ("x", "y", "sd_position", "heading", "sd_heading", "forward_velocity", "lateral_velocity", "sd_velocity", "sd_lateral_velocity", "yaw_rate", "sd_yaw_rate", "roll", "sd_roll")
@@ -251,20 +255,22 @@ class OwnSteering(_message.Message):
     def __init__(self, share: _Optional[float] = ..., rms: _Optional[float] = ..., seconds: _Optional[float] = ...) -> None: ...
 
 class SoilPlace(_message.Message):
-    __slots__ = ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior")
+    __slots__ = ("latitude_deg", "longitude_deg", "radius_m", "this_pass", "neighbours", "prior", "log_mean")
     LATITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     LONGITUDE_DEG_FIELD_NUMBER: _ClassVar[int]
     RADIUS_M_FIELD_NUMBER: _ClassVar[int]
     THIS_PASS_FIELD_NUMBER: _ClassVar[int]
     NEIGHBOURS_FIELD_NUMBER: _ClassVar[int]
     PRIOR_FIELD_NUMBER: _ClassVar[int]
+    LOG_MEAN_FIELD_NUMBER: _ClassVar[int]
     latitude_deg: float
     longitude_deg: float
     radius_m: float
     this_pass: float
     neighbours: float
     prior: float
-    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., radius_m: _Optional[float] = ..., this_pass: _Optional[float] = ..., neighbours: _Optional[float] = ..., prior: _Optional[float] = ...) -> None: ...
+    log_mean: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., radius_m: _Optional[float] = ..., this_pass: _Optional[float] = ..., neighbours: _Optional[float] = ..., prior: _Optional[float] = ..., log_mean: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class SoilTireEstimate(_message.Message):
     __slots__ = ("t_ns", "method", "model", "parameters", "log_covariance", "nuisances", "rank", "condition", "excitation", "window_s", "rule", "determined", "bound", "advice", "chosen", "combinations", "advised", "own_steering", "of_place")
@@ -349,6 +355,18 @@ class Accepted(_message.Message):
     amounts: _containers.RepeatedScalarFieldContainer[float]
     sds: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, t_ns: _Optional[int] = ..., what: _Optional[str] = ..., amounts: _Optional[_Iterable[float]] = ..., sds: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Carried(_message.Message):
+    __slots__ = ("t_ns", "mass", "sd", "source")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    MASS_FIELD_NUMBER: _ClassVar[int]
+    SD_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    mass: float
+    sd: float
+    source: str
+    def __init__(self, t_ns: _Optional[int] = ..., mass: _Optional[float] = ..., sd: _Optional[float] = ..., source: _Optional[str] = ...) -> None: ...
 
 class Addresses(_message.Message):
     __slots__ = ("t_ns", "known", "machine_sha256")
@@ -483,7 +501,7 @@ class Moved(_message.Message):
     def __init__(self, names: _Optional[_Iterable[str]] = ..., text: _Optional[str] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s", "hours_left", "resting", "preparing", "ready_in_s", "moved", "implement", "implements")
+    __slots__ = ("t_ns", "run", "version", "uptime_s", "frames", "measurements", "poses", "buses", "receivers", "rejected", "recording", "log_file", "log_bytes", "disk_free_bytes", "problems", "wheel_angle", "fit_s", "health", "faults", "longest_turn_s", "hours_left", "resting", "preparing", "ready_in_s", "moved", "implement", "implements", "load", "full_load")
     T_NS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
@@ -511,6 +529,8 @@ class Status(_message.Message):
     MOVED_FIELD_NUMBER: _ClassVar[int]
     IMPLEMENT_FIELD_NUMBER: _ClassVar[int]
     IMPLEMENTS_FIELD_NUMBER: _ClassVar[int]
+    LOAD_FIELD_NUMBER: _ClassVar[int]
+    FULL_LOAD_FIELD_NUMBER: _ClassVar[int]
     t_ns: int
     run: str
     version: str
@@ -538,7 +558,9 @@ class Status(_message.Message):
     moved: _containers.RepeatedCompositeFieldContainer[Moved]
     implement: str
     implements: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ..., hours_left: _Optional[float] = ..., resting: _Optional[bool] = ..., preparing: _Optional[str] = ..., ready_in_s: _Optional[float] = ..., moved: _Optional[_Iterable[_Union[Moved, _Mapping]]] = ..., implement: _Optional[str] = ..., implements: _Optional[_Iterable[str]] = ...) -> None: ...
+    load: Carried
+    full_load: float
+    def __init__(self, t_ns: _Optional[int] = ..., run: _Optional[str] = ..., version: _Optional[str] = ..., uptime_s: _Optional[float] = ..., frames: _Optional[int] = ..., measurements: _Optional[int] = ..., poses: _Optional[int] = ..., buses: _Optional[_Iterable[_Union[BusStatus, _Mapping]]] = ..., receivers: _Optional[_Iterable[_Union[ReceiverStatus, _Mapping]]] = ..., rejected: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., recording: _Optional[bool] = ..., log_file: _Optional[str] = ..., log_bytes: _Optional[int] = ..., disk_free_bytes: _Optional[float] = ..., problems: _Optional[_Iterable[str]] = ..., wheel_angle: _Optional[_Union[ReceiverStatus, _Mapping]] = ..., fit_s: _Optional[float] = ..., health: _Optional[str] = ..., faults: _Optional[_Iterable[_Union[Count, _Mapping]]] = ..., longest_turn_s: _Optional[float] = ..., hours_left: _Optional[float] = ..., resting: _Optional[bool] = ..., preparing: _Optional[str] = ..., ready_in_s: _Optional[float] = ..., moved: _Optional[_Iterable[_Union[Moved, _Mapping]]] = ..., implement: _Optional[str] = ..., implements: _Optional[_Iterable[str]] = ..., load: _Optional[_Union[Carried, _Mapping]] = ..., full_load: _Optional[float] = ...) -> None: ...
 
 class Snapshot(_message.Message):
     __slots__ = ("t_ns", "machine_sha256", "state_json")

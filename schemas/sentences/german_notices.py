@@ -179,6 +179,16 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TYRES_CHANGED: "{reason}. Keine Schätzung benutzt ihn; so annehmen ({which})",
     NoticeCode.TYRES_BACK: "der Radius der Reifen ist wieder der alte: {key}",
     NoticeCode.ACCEPTED: "angenommen: {reason}; für die Maschinendatei: {line}",
+    NoticeCode.LOAD_TOLD: "das Gerät trägt {mass_t:.1f} t ± {sd_t:.1f} t ({source})",
+    NoticeCode.LOAD_CHANGED: (
+        "das Gerät trägt mehr oder weniger als vorher: seine Reifen halten anders, bezogen auf seine Masse, die "
+        "des Traktors wie vorher. C_ai hat wieder einen Wert, wenn jemand die Ladung sagt, etwa mit "
+        "`tilth implement --load full`"
+    ),
+    NoticeCode.LOAD_OR_SOIL: (
+        "das Gerät trägt mehr oder weniger als vorher, oder der Boden hält die Reifen anders: das Fahren sagt "
+        "nicht, was. Die Ladung sagen, etwa mit `tilth implement --load full`"
+    ),
     NoticeCode.SOIL_CHANGED: "der Boden hält die Reifen anders{listed}: was vorher gelernt wurde, ist aufgegeben",
     NoticeCode.SOIL_CHANGING: (
         "der Boden hält die Reifen anders: was vorher gelernt wurde, ist aufgegeben; um wie viel, zeigt die "
@@ -252,6 +262,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.REPORT_AT_OWN_PRIORITY: "der Bericht entsteht mit dem Vorrang der Aufzeichnung: {why}",
     NoticeCode.REPORT_MADE: "Bericht der Fahrt bis hier: {file}",
     NoticeCode.RESUMED: "{methods} gehen von dem aus, was bis vor {hours:.1f} h gelernt wurde",
+    NoticeCode.FIELD_MAP: "place und tracker gehen von der Karte des Feldes aus, das zuletzt vor {hours:.1f} h befahren wurde",
     NoticeCode.UNFINISHED: "{file} war unfertig und bleibt es: {why}",
     NoticeCode.UNLOCKED: (
         "{folder}: dieses Dateisystem kennt keine Sperren; aufgezeichnet wird trotzdem, aber kein anderes Programm "

@@ -191,6 +191,16 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TYRES_CHANGED: "{reason}. No estimate uses it; accept it as it is now ({which})",
     NoticeCode.TYRES_BACK: "the tyres' radius is what it was before: {key}",
     NoticeCode.ACCEPTED: "accepted: {reason}; for the machine file: {line}",
+    NoticeCode.LOAD_TOLD: "the implement carries {mass_t:.1f} t ± {sd_t:.1f} t ({source})",
+    NoticeCode.LOAD_CHANGED: (
+        "the implement carries more or less than before: its tyres hold otherwise over its mass, the "
+        "tractor's as before. C_ai has a number again when somebody says the load, as by `tilth implement "
+        "--load full`"
+    ),
+    NoticeCode.LOAD_OR_SOIL: (
+        "the implement carries more or less than before, or the soil holds the tyres differently: driving "
+        "does not tell which. Say the load, as by `tilth implement --load full`"
+    ),
     NoticeCode.SOIL_CHANGED: (
         "the soil holds the tyres differently{listed}: what was learned of it before is given up"
     ),
@@ -265,6 +275,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.REPORT_AT_OWN_PRIORITY: "the report is made at the recorder's own priority: {why}",
     NoticeCode.REPORT_MADE: "report of the run so far: {file}",
     NoticeCode.RESUMED: "{methods} go on from what was learned until {hours:.1f} h ago",
+    NoticeCode.FIELD_MAP: "place and tracker begin from the field map, last driven {hours:.1f} h ago",
     NoticeCode.UNFINISHED: "{file} was left unfinished and stays so: {why}",
     NoticeCode.UNLOCKED: (
         "{folder}: this file system has no locks; it is recorded all the same, but no other program can be "

@@ -44,6 +44,7 @@ REJECTIONS: Final[Mapping[str, str]] = {
     Rejection.MARK: "a mark that was refused",
     Rejection.ACCEPT: "an order to accept that was refused",
     Rejection.IMPLEMENT: "an order of another implement that was refused",
+    Rejection.LOAD: "what an implement carries, as somebody said: it was refused",
 }
 LANGUAGES: Final[Mapping[str, Mapping[str, str]]] = {ENGLISH: REJECTIONS}
 

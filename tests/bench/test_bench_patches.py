@@ -33,7 +33,7 @@ def _made(z: float) -> list[dict[str, Any]]:
     }  # fmt: skip
     methods = {"place": told, "pem": told, "oracle": {**told, "sd": [[0.2 * z] * 6] * n}}
     made = [{"row": "patches", "seed": 0, "first": 0, "scale": 8.0, "methods": methods,
-             "ahead": [[0.1 * z, 0.1]] * 5, "changes": [60.0]}]  # fmt: skip
+             "ahead": [[0.1 * z, 0.1, 0.05 * z, 0.05]] * 5, "changes": [60.0]}]  # fmt: skip
     return json.loads(json.dumps(made))  # type: ignore[no-any-return]
 
 
@@ -50,6 +50,7 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, held: bool) -> 
     assert score.held is held and 1.0 < score.values[0] < 1.6  # the oracle's sds are those of the errors
     assert lines["soil_change was told, in each field"].reached == "1"
     assert lines["wet end: intervals hold"].held
+    assert lines["the same of the oracle"].reached.startswith("10")
 
 
 def test_the_oracle_knows_the_covariance_that_a_field_was_drawn_with() -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import row_hours
 import rows
 from circle import demo_machine
 from estimation_table import Bench
@@ -57,7 +56,7 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, over: float, he
     lines = {line.figure: line for line in rows.lines_of(_made(z, over))}
     assert lines["C_ar"].held is held
     assert lines["all: 95 % intervals that hold"].held is (z == 1.0)
-    assert "0.45°" in lines["1 valve, planar, 1 cm, 4.0 m/s"].reached
+    assert "0.45°" in lines["1 pid, spatial, 0.5 cm, 4.0 m/s"].reached
 
 
 @pytest.mark.parametrize(("found", "held"), [(0.11, True), (0.13, False)])
@@ -85,7 +84,7 @@ def test_hours_are_judged_at_their_end_and_by_changes_of_soil_that_were_none(
 ) -> None:
     block = {"error": [z * sd] * 6, "sd": [sd] * 6, "bound": [0.02] * 6, "refused": None, "changed": changed}
     made = [{"rig": k, "blocks": [block] * 4} for k in range(6)]
-    lines = {line.figure: line for line in row_hours.hours_lines(made)}
+    lines = {line.figure: line for line in rows.hours_lines(made)}
     assert [lines["end"].held, lines["false changes of soil"].held] == held
     assert lines["withheld"].reached == "0 of 6"
 
@@ -96,7 +95,7 @@ def test_hours_of_what_one_row_told_hold_and_change_nothing() -> None:
     row = state.covariance.copy()
     row[:6, :6] *= 0.2**2
     made: list[dict[str, Any]] = [
-        {"rig": k, "blocks": row_hours.in_pieces(machine, row, 5.0, 2400.0, 20, k)} for k in range(20)
+        {"rig": k, "blocks": rows.in_pieces(machine, row, 5.0, 2400.0, 20, k)} for k in range(20)
     ]
     z = np.array([np.divide(one["blocks"][-1]["error"], one["blocks"][-1]["sd"]) for one in made])
     assert np.mean(np.abs(z) < 1.96) > 0.88 and 0.7 < np.std(z) < 1.3

@@ -11,7 +11,7 @@ import pytest
 from logs import MACHINE_FILE, some_frames, write_mcap
 from loopback import PATIENCE_S
 
-from tilth.cli import COMMANDS, RECORDERS, main
+from tilth.cli import COMMANDS, main
 from tilth.schemas.invocation import command
 
 NOWHERE = "tcp/127.0.0.1:1"
@@ -23,6 +23,10 @@ ROWS: list[tuple[list[str], str]] = [
     (["run", "FOLDER"], "is a directory); give the path of one that exists"),
     (["run", "FOREIGN"], "not a TOML file"),
     (["run", "OTHER"], "title: no such key. Allowed here: machine, implements, tractor"),
+    (["demo", "--host", "nonsense"], "demo: --host nonsense: name or service not known; give an address of"),
+    (["demo", "--guidance", "--host", "203.0.113.1"], "give an address of this computer, or 0.0.0.0"),
+    (["demo", "--log", "foreign.bin"], "foreign.bin: there is no such folder; make it"),
+    (["demo", "--fast", "--guidance", "--log", "foreign.bin"], "foreign.bin: there is no such folder"),
     (["check", "none.toml"], "none.toml: the machine file cannot be read"),
     (["logs", "none"], "none: no such folder; name the one that the logs are in"),
     (["logs", "FOLDER", "--keep", "x"], "no run is in it; name the folder that the logs are in"),
@@ -77,7 +81,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
 
 def test_commands_start_without_what_few_of_them_need() -> None:
     """Each would take a third of a second or more before the first word."""
-    names = [name for name, _ in COMMANDS if name not in RECORDERS]
+    names = [name for name, _ in COMMANDS]
     code = "import importlib, sys\n"
     code += f"for name in {names}: importlib.import_module(f'tilth.cli.{{name}}')\n"
     slow = {"asammdf", "llvmlite", "matplotlib", "numba", "pandas", "polars", "scipy.optimize", "scipy.stats"}

@@ -13,6 +13,7 @@ from client_daemon import NAME, Publisher
 from google.protobuf.descriptor import Descriptor
 from loopback import PATIENCE_S
 from paths import ROOT
+from rust_build import build, in_rust
 
 from tilth.schemas.proto import tilth_pb2 as pb
 
@@ -21,21 +22,6 @@ IN_CPP = FOLDER.with_name("consumer-cpp")
 
 PROTO = (FOLDER.parents[1] / "schemas/proto/tilth.proto").read_text(encoding="utf-8")
 PYTHON = FOLDER.with_name("subscriber.py")
-
-
-def build(command: list[str], folder: Path) -> str:
-    built = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert built.returncode == 0, (built.stdout + built.stderr)[-3000:]
-    return built.stdout
-
-
-def in_rust() -> Path:
-    """CARGO_TARGET_DIR, where it is set, keeps what was built for the next time."""
-    if shutil.which("cargo") is None:
-        pytest.skip("no cargo here: install Rust to build the example")
-    told = build(["cargo", "build", "--locked", "--message-format=json"], FOLDER)
-    (last,) = (line for line in told.splitlines() if '"executable":"' in line)
-    return Path(last.partition('"executable":"')[2].partition('"')[0])
 
 
 def in_cpp() -> Path:
@@ -49,7 +35,7 @@ def in_cpp() -> Path:
     return folder / "tilth_consumer"
 
 
-@pytest.fixture(scope="module", params=[in_rust, in_cpp], ids=["rust", "cpp"])
+@pytest.fixture(scope="module", params=[lambda: in_rust(FOLDER), in_cpp], ids=["rust", "cpp"])
 def consumer(request: pytest.FixtureRequest) -> Path:
     made: Callable[[], Path] = request.param
     return made()

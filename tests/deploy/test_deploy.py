@@ -81,13 +81,14 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     keys = tmp_path / "daemon.json"
     keys.write_text("{}")
 
-    result = box.setup("install", wheel)
-    assert result.returncode == 1 and "say with --machine which rig this is" in result.stderr
     result = box.setup("upgrade", wheel)
     assert result.returncode == 1 and "nothing is installed yet" in result.stderr
     assert not box.root.exists()
+    result = box.setup("install", wheel)
+    assert result.returncode == 0 and "starts once it knows the rig" in result.stdout, result.stderr
+    assert box.tilth("--help").returncode == 0 and not (box.root / KERNELS).exists()  # and is not started
 
-    result = box.setup("install", wheel, "--machine", machine, "--keys", keys)
+    result = box.setup("machine", machine, "--keys", keys)
     assert result.returncode == 0, result.stderr
     assert "release 1) is current" in result.stdout and "not used" not in result.stdout
     assert (box.root / "etc/tilth/machine.toml").read_text() == machine.read_text()

@@ -1,13 +1,16 @@
 """Writing what is generated: which files, only where they differ, and none by --check or --help."""
 
+import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from paths import ROOT
 
 from tilth.deploy import codes_page, motion_equations, observation_equations
 from tilth.deploy.generate import PROTO, main
+from tilth.deploy.kernel_text import kernel
 
 pytestmark = pytest.mark.skipif(shutil.which("uv") is None, reason="needs uv")
 SOURCES = ("pyproject.toml", "uv.lock", f"{PROTO}/tilth.proto")
@@ -68,3 +71,20 @@ def test_help_and_wrong_words_write_nothing(
     assert end.value.code == status
     assert "--check" in "".join(capsys.readouterr())
     assert _contents(tree) == before
+
+
+def test_what_occurs_twice_is_computed_once_and_is_equal() -> None:
+    lines = [
+        "    t0 = x - y",
+        "    s0 = z*(10 - 10*(sin(t0*x + 3)*sin(t0*x + 3)))",
+        "    t1 = z*sin(t0*x + 3)",
+        "    return z*(1 - sin(t0*x + 3)*sin(t0*x + 3)) + s0/(10 - 10*(sin(t0*x + 3)*sin(t0*x + 3))) - t1",
+    ]
+    text = kernel("f", "", "x: float, y: float, z: float", lines, gives="float").removeprefix("@kernel\n")
+    plain = "def f(x, y, z):\n" + "\n".join(lines)
+    found: list[float] = []
+    for source in (text, plain):
+        scope: dict[str, Any] = {"sin": math.sin}
+        exec(source, scope)
+        found.append(scope["f"](0.3, 0.7, 1.1))
+    assert found[0] == found[1] and text.count("sin") == 1 and plain.count("sin") == 7

@@ -18,12 +18,19 @@ from tilth.client import Cautious, Limits
 from tilth.client.latest import judge
 from tilth.estimator.models.parameters import Rig, rig_of
 from tilth.schemas.can_id import split
-from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, ParameterEstimate, Pose, Status
+from tilth.schemas.flow import (
+    PARAMETERS,
+    BodyPose,
+    Estimate,
+    ParameterEstimate,
+    Pose,
+    SoilPlace,
+    Status,
+)
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.pgn_table import row
-from tilth.simulator.receivers import ORIGIN_DEG
-from tilth.simulator.scenario import Ground, Scenario, Soil, SoilChange
+from tilth.simulator.scenario import ORIGIN_DEG, Ground, Scenario, Soil, SoilChange
 
 WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
 
@@ -60,6 +67,14 @@ def test_the_plan_is_one_that_rolling_wheels_can_follow(line: Plan, nominal: Rig
 
 def _ahead(body: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([np.cos(body[:, 2]), np.sin(body[:, 2])])
+
+
+def test_in_two_lands_the_next_row_but_one_is_beside(nominal: Rig) -> None:
+    work = Work(rows=6, length=40.0, spacing=42.0, radius=12.0, beside=6.0)
+    line = plan(work, nominal)
+    ends = [np.flatnonzero(line.row == k)[-1] for k in range(work.rows)]
+    assert line.tractor[ends, 1] == pytest.approx([0.0, 42.0, 6.0, 48.0, 12.0, 54.0], abs=0.1)
+    assert np.cos(line.tractor[ends, 2]) == pytest.approx([1.0, -1.0] * 3, abs=1e-3)
 
 
 def test_a_turn_that_does_not_fit_is_said(nominal: Rig) -> None:
@@ -157,6 +172,29 @@ def test_what_may_not_be_used_brings_back_the_nominal_gains_smoothly(
         assert step <= LIMITS.per_s * 0.1 + 1e-9
         before = subject.follower.theta
     assert before == pytest.approx(nominal.theta)
+
+
+def test_in_patches_it_steers_for_the_soil_ahead(line: Plan, nominal: Rig) -> None:
+    """By its mean, also where that is too wide for a number, and not where soil is hardly in patches."""
+    means, wide = tuple(np.log(0.6 * nominal.theta).tolist()), tuple((0.2 * np.eye(6)).ravel().tolist())
+    blank = [replace(p, value=None, sd=None, status=Status.UNESTIMATED) for p in estimate(0.6).parameters]
+    there = replace(
+        estimate(0.6), parameters=tuple(blank), log_covariance=wide,
+        of_place=SoilPlace(*ORIGIN_DEG, 30.0, 0.2, 0.2, 0.6, means),
+    )  # fmt: skip
+    told = {}
+    for patchy in (0.9, 0.4):
+        subject = Controller(line, nominal, ORIGIN_DEG)
+        assert subject.ahead() is None
+        subject.pose(pose(0.2, x=20.0 + nominal.b), 0.2)
+        assert subject.ahead() == pytest.approx((24.5, 0.0), abs=0.1)
+        ahead = judge(replace(there, excitation={"patchy": patchy}), 0.1, STALE)
+        for k in range(100):
+            force = subject.estimate(judge(estimate(1.0), 0.1, STALE), 0.1 * k, ahead)
+        told[patchy] = np.log(force.theta / nominal.theta)
+    distance = abs(math.log(0.6)) * math.sqrt(6.0 / 0.2)
+    assert told[0.9] == pytest.approx(np.full(6, math.log(0.6)) * (1.0 - 1.0 / distance))
+    assert told[0.4] == pytest.approx(np.zeros(6))
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import MachineFile
+from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
@@ -100,6 +100,46 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     assert comparison.difference == "" and comparison.compared > 500
     following = Daemon(MachineFile(machine, text), tmp_path / "logs", None, NoDisplay(), keep=True)
     assert following.parts.estimation.fold.state.machine == fold.state.machine
+    following.close()
+
+
+def test_a_load_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
+    tmp_path: Path, talker: can.BusABC, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bare, text = rig(tmp_path, VIRTUAL)
+    text += "\n[implement.load]\nmass = 6000\nahead_of_axle = 0.1\nheight = 1.4\n"
+    machine, file, own = parse_machine(text), tmp_path / "m.toml", bare.implement.mass.value
+    file.write_text(text)
+    daemon = Daemon(MachineFile(machine, text), tmp_path / "logs", "", NoDisplay(), keep=True)
+    fold = daemon.parts.estimation.fold
+    drive = now(list(simulate(MACHINE, 4, 4.0)))
+    for frame in drive[: len(drive) // 2]:
+        daemon.take(frame)
+    name = ["--machine", str(file)]
+    words = ([], ["--load", "5.5 t"], ["--load", "9 t"], [], ["cart", "--load", "full"])
+    asked = [["implement", *more, *name] for more in words]
+    assert commands(daemon, *asked) == [0, 0, 2, 0, 2]
+    output = capsys.readouterr()
+    assert "Nobody has said what it carries. It is full with 6.0 t." in output.out
+    assert "the implement carries 5.5 t ± 0.3 t (operator)" in output.out
+    assert "9.0 t is more than it carries when it is full" in output.err
+    assert "the load when its run has begun" in output.err
+    assert fold.state.machine.implement.mass.value == pytest.approx(own + 5500.0)
+    rest = now(drive[len(drive) // 2 :])
+    at_ns = rest[len(rest) // 2].t_ns
+    scale = Frame(at_ns, at_ns, "can0", 0x1CFEEA40, True, False, bytes.fromhex("FFFFFFFFFFE803FF"))
+    for frame in (*rest[: len(rest) // 2], scale, *rest[len(rest) // 2 :]):
+        daemon.take(frame)
+    assert fold.state.machine.implement.mass.value == pytest.approx(own + 2000.0)
+    logs = daemon.close().log_files
+    (logged,) = (said for log in logs for said in records_of(log, "/load", pb.Carried))
+    assert (logged.mass, logged.source) == (5500.0, "operator")
+    comparison = Comparison()
+    replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
+    assert comparison.difference == "" and comparison.compared > 500
+    following = Daemon(MachineFile(machine, text), tmp_path / "logs", None, NoDisplay(), keep=True)
+    kept = following.parts.estimation.fold.state.carried
+    assert kept is not None and kept.mass == pytest.approx(2000.0)
     following.close()
 
 

@@ -25,6 +25,7 @@ EXAMPLES: dict[str, Any] = {
     "hand_wheel_angle": flow.HandWheelAngle(*HEAD, -3.0),
     "curvature": flow.Curvature(*HEAD, 0.02),
     "vehicle_speed": flow.VehicleSpeed(*HEAD, 1.25, "reverse"),
+    "weight": flow.Weight(*HEAD, 8127.0, 6000.0),
     "address_claim": flow.AddressClaim(*HEAD, 33, 123456),
 }
 

@@ -96,6 +96,9 @@ MADE: list[tuple[int, int | None, dict[str, flow.Word], list[flow.Measurement]]]
         flow.VehicleSpeed(*HEAD, 65096, None, 2.0, "forward"),
     ]),
     (65097, None, {"speed_mps": 2.0}, [flow.VehicleSpeed(*HEAD, 65097, None, 2.0, None)]),
+    (65258, None, {"whole_mass_kg": 8128.0, "carried_mass_kg": 6000.0}, [
+        flow.Weight(*HEAD, 65258, None, 8128.0, 6000.0),
+    ]),
     (44032, None, {"curvature_per_m": 0.01}, [flow.Curvature(*HEAD, 44032, None, 0.01)]),
 ]  # fmt: skip
 
@@ -166,7 +169,7 @@ def test_a_strangers_position_is_not_the_machines(
 ) -> None:
     subject = decoder()
     found = measurements_of(subject, pgn, values, selector, source=STRANGER)
-    if pgn in (65096, 65097, 44032):
+    if pgn in (65096, 65097, 65258, 44032):
         assert len(found) == len(expected)
     else:
         assert found == []

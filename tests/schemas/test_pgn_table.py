@@ -56,6 +56,7 @@ VECTORS = [
     (65096, None, "B80BFFFFFFFFFFFD", {"speed_mps": 3.0, "direction": "forward"}),
     (65097, None, "B80BFFFFFFFFFFFC", {"speed_mps": 3.0, "direction": "reverse"}),
     (65097, None, "B80BFFFFFFFFFFFE", {"speed_mps": 3.0}),  # direction: error
+    (65258, None, "FFFFFFE00FB80BFF", {"whole_mass_kg": 8128.0, "carried_mass_kg": 6000.0}),
     # 32128 is straight on; 10 per km more is a right-hand curve of 100 m radius
     (44032, None, "807DFFFFFFFFFFFF", {"curvature_per_m": 0.0}),
     (44032, None, "A87DFFFFFFFFFFFF", {"curvature_per_m": 0.01}),
@@ -149,7 +150,8 @@ def test_every_word_is_carried_and_the_words_are_those_of_the_command_line() -> 
     assert " ".join(SIGNALS) == (
         "latitude_deg longitude_deg altitude_m course_rad speed_mps heading_rad heading_reference "
         "yaw_rate_radps roll_rad pitch_rad yaw_rad wheel_angle_rad hand_wheel_angle_rad curvature_per_m "
-        "commanded_curvature_per_m command_status direction utc_ns fix satellites hdop pdop vdop tdop "
+        "commanded_curvature_per_m command_status direction whole_mass_kg carried_mass_kg utc_ns fix "
+        "satellites hdop pdop vdop tdop "
         "desired_mode actual_mode gnss_system integrity geoid_separation_m reference_stations "
         "satellites_in_view range_residual_mode deviation_rad variation_rad instance direction_order "
         "angle_order_rad time_source local_offset_s roll_rate_radps pitch_rate_radps nmea2000_version "

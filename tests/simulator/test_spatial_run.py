@@ -17,8 +17,9 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.demo import SPATIAL
 from tilth.simulator.drive import drive
-from tilth.simulator.receivers import ORIGIN_DEG, Report, reports
+from tilth.simulator.receivers import Report, reports
 from tilth.simulator.scenario import (
+    ORIGIN_DEG,
     Fieldwork,
     Ground,
     RollSensor,

@@ -18,8 +18,9 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator import tractor
 from tilth.simulator.drive import drive
-from tilth.simulator.receivers import ORIGIN_DEG, Report, reports, wheel_readings
+from tilth.simulator.receivers import Report, reports, wheel_readings
 from tilth.simulator.scenario import (
+    ORIGIN_DEG,
     STEP_S,
     Fault,
     FaultKind,

@@ -8,11 +8,22 @@ from numpy.typing import NDArray
 
 from tilth.estimator.filters.likelihood import NOTHING
 from tilth.estimator.filters.rig_setup import RigSetup
-from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond
+from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, stops_of
 from tilth.estimator.filters.sensors.wheel_play import flanks
 from tilth.estimator.filters.states import DT, Places
 from tilth.estimator.filters.straight_driving import KEPT, filter_model, straight_model, tabulated
-from tilth.estimator.record.record import EAST, NORTH, ROLL_ANGLE, VELOCITY, YAW_RATE, Record
+from tilth.estimator.record.record import (
+    EAST,
+    KIND,
+    NORTH,
+    ROLL_ANGLE,
+    SD,
+    VALUE,
+    VELOCITY,
+    WHEEL_ANGLE,
+    YAW_RATE,
+    Record,
+)
 
 Array = NDArray[np.float64]
 
@@ -58,12 +69,34 @@ def raw_response(
     """What the rig that goes straight but for its steering would read, and its slopes, (m, 1 + a). of_rows:
     play of the wheel sensor and scales of turn rates."""
     m, speeds = len(record.rows), tabulated(record.ticks)
-    zeros = np.zeros((m, len(KEPT)))
-    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), np.ones(m))
+    zeros, stops = np.zeros((m, len(KEPT))), stops_of(record.rows, len(record.ticks))
+    of_stops = np.zeros((len(stops.ticks) - 1, len(KEPT), len(KEPT)))
+    gains = KeptGains(np.zeros(m), np.ones(m), zeros, zeros.copy(), of_stops, np.ones(m))
     whole = Whitened(
         record.ticks, record.rows, gains, filter_model(speeds, point, setup), np.arange(m), np.ones(m),
-        np.array([record.ticks[:, 0].mean()]), flanks(record.ticks[:, 0]),
+        np.array([record.ticks[:, 0].mean()]), flanks(record.ticks[:, 0]), stops,
     )  # fmt: skip
     out = np.empty((m, 1 + len(places)))
     respond(whole, straight_model(speeds, point, setup, places), np.append(point, of_rows), places, out)
     return out
+
+
+def rut(record: Record, rng: np.random.Generator) -> Array:
+    """One disturbance that meets the outputs one after the other: no filter's model."""
+    profile = np.convolve(rng.standard_normal(len(record.ticks) + 400), np.hanning(60), "same")
+    at, kinds = record.rows[:, 0].astype(int), record.rows[:, KIND]
+    later = 60.0 * (record.rows[:, 3] >= 2) + 20.0 * (kinds == YAW_RATE)
+    sizes = np.choose(kinds.astype(int), (0.002, 0.012, 0.0, 0.004, 0.0, 0.001))
+    return np.asarray(sizes * profile[(at + 200 - later).astype(int)] / profile.std())
+
+
+def on_a_rut(seconds: float, seed: int, point: Array, setup: RigSetup, slower: int = 1) -> Record:
+    """A row of a rig at a point of the unknowns, on such ground, with white sensors. slower: an odd number of
+    ticks, over which steering is a mean."""
+    record, rng = weaving(seconds, seed=seed), np.random.default_rng(1000 + seed)
+    angle = np.pad(record.ticks[:, WHEEL_ANGLE], slower // 2, "edge")
+    record.ticks[:, WHEEL_ANGLE] = np.convolve(angle, np.ones(slower) / slower, "valid")
+    rows = record.rows.copy()
+    rows[:, VALUE] = raw_response(record, point, setup)[:, 0]
+    rows[:, VALUE] += rut(record, rng) + rows[:, SD] * rng.standard_normal(len(rows))
+    return Record(0, record.ticks, rows)

@@ -21,7 +21,7 @@ FILE = MachineFile(MACHINE, MACHINE_TEXT)
 
 def taken(*paths: Path, out: Path, given: MachineFile | None = None) -> Inventory:
     out.mkdir(exist_ok=True)
-    return take_inventory(paths, out, given, lambda what, done, of: None)
+    return take_inventory([str(path) for path in paths], out, given, lambda what, done, of: None)
 
 
 def part(path: Path, number: int, count: int = 50, run: str = DAEMONS) -> Path:

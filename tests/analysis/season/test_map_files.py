@@ -1,7 +1,11 @@
 """Maps as files: GeoJSON beside RFC 7946, and GeoParquet 1.1 read back."""
 
+import csv
 import json
+import re
+import shutil
 import struct
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +69,33 @@ def test_geoparquet_says_where_it_is_and_reads_back(features: tuple[MapFeature, 
     assert [row["C_af"] for row in rows] == [one.properties["C_af"] for one in features]
     assert rows[0]["run"] == "day0" and rows[-1]["run"] is None and rows[-1]["kind"] == "cell"
     assert json.loads(table.schema.metadata[b"tilth"]) == FACTS
+
+
+@pytest.mark.skipif(shutil.which("ogr2ogr") is None, reason="needs GDAL's programs: apt install gdal-bin")
+def test_gdal_which_qgis_opens_files_with_has_all_of_it_at_its_place(
+    features: tuple[MapFeature, ...], tmp_path: Path
+) -> None:
+    """GDAL of Debian has no driver for Parquet."""
+    write_geojson(tmp_path / "m.geojson", features, FACTS)
+    about = subprocess.run(
+        ["ogrinfo", "-ro", "-so", "-al", "m.geojson"],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert f"Feature Count: {len(features)}" in about.stdout and "Geometry: Polygon" in about.stdout
+    assert 'ID["EPSG",4326]' in about.stdout and not about.stderr
+    made = ["-f", "CSV", "-lco", "GEOMETRY=AS_WKT", "m.csv", "m.geojson"]
+    subprocess.run(["ogr2ogr", *made], cwd=tmp_path, check=True, capture_output=True)
+    with (tmp_path / "m.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row, one in zip(rows, features, strict=True):
+        ring = np.array(re.findall(r"[-\d.]+", row["WKT"]), dtype=np.float64).reshape(-1, 2)
+        assert degrees_apart_m(ring[:, ::-1], one.ring[:, ::-1]) < 0.01
+        stiffness = one.properties["C_af"]
+        assert row["C_af"] == "" if stiffness is None else float(row["C_af"]) == pytest.approx(stiffness)
+        assert row["kind"] == one.kind
 
 
 def test_what_is_there_stays(features: tuple[MapFeature, ...], tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ IN_PLACE = lambda longest_s: here(1)  # noqa: E731
 
 
 def made(*paths: Path, out: Path, retry: bool = False, parts: Any = IN_PLACE) -> Season:
-    found = season(paths, out, parts, retry=retry)
+    found = season([str(path) for path in paths], out, parts, retry=retry)
     if found.rows is not None:
         write_summary(found, "tilth season")
         finish(found)
@@ -137,7 +137,7 @@ def test_a_full_disk_costs_what_is_kept_and_no_result(
 def test_two_seasons_do_not_write_into_one_folder(logs: Path, tmp_path: Path) -> None:
     def second(longest_s: float) -> Parts:
         with pytest.raises(SeasonProblem, match="another season"):
-            season([logs], tmp_path / "out", IN_PLACE)
+            season([str(logs)], tmp_path / "out", IN_PLACE)
         return here(1)
 
     made(logs, out=tmp_path / "out", parts=second)
@@ -173,7 +173,7 @@ def test_a_drive_in_parts_and_one_that_was_cut(tmp_path: Path) -> None:
         assert row["reason"] in ("", UNCONFIRMED) or not row["together"]
     assert any(row[name] for row in rows for name in PARAMETERS[:3])
     other = tmp_path / "two"
-    season([*live.parts], other, lambda longest_s: here(2))
+    season([str(part) for part in live.parts], other, lambda longest_s: here(2))
     assert (other / TABLE).read_bytes() == (out / TABLE).read_bytes()
     of_cut = made(cut(), out=tmp_path / "cut")
     assert "cut off" in " ".join(text for one in of_cut.runs or () for text in one.look)

@@ -8,7 +8,7 @@ from straight_row import raw_response, weaving
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.likelihood import NOTHING
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, set_gains
+from tilth.estimator.filters.row_filter import KeptGains, Whitened, respond, set_gains, stops_of
 from tilth.estimator.filters.straight_driving import (
     KEPT,
     N_STRAIGHT,
@@ -30,24 +30,26 @@ SETUP = rig_setup(MACHINE)
 def gains_for(record: Record, readings: Array, model: FilterModel, settling: int = 10**6) -> KeptGains:
     m, n = len(record.rows), len(KEPT)
     used = (record.rows[:, KIND] != NORTH).astype(np.float64)
-    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), used)
-    set_gains(record.ticks, record.rows, readings, MEAN, model, settling, out)
+    stops = stops_of(record.rows, len(record.ticks))
+    of_stops = np.empty((len(stops.ticks) - 1, n, n))
+    out = KeptGains(np.empty(m), np.empty(m), np.empty((m, n)), np.empty((m, n)), of_stops, used)
+    set_gains(record.ticks, record.rows, readings, MEAN, model, settling, stops, out)
     return out
 
 
 def own_disturbances(record: Record, model: FilterModel, seed: int) -> Array:
     """Readings, (m,), of a rig that does what the filter expects."""
     rng, n, k = np.random.default_rng(seed), len(KEPT), 0
-    root = np.linalg.cholesky(model.Q[0] + 1e-18 * np.eye(n))
+    root = np.linalg.cholesky(model.Q[0, 0] + 1e-18 * np.eye(n))
     x = np.linalg.cholesky(model.start + 1e-18 * np.eye(n)) @ rng.standard_normal(n)
     readings = np.zeros(len(record.rows))
     for i, row in enumerate(record.rows):
         while k < row[TICK]:
-            x, k = model.F[0] @ x + root @ rng.standard_normal(n), k + 1
+            x, k = model.F[0, 0] @ x + root @ rng.standard_normal(n), k + 1
         later = row[1] / 0.02
         if row[KIND] == 0:
             later -= MEAN[unknowns.AT_YAW_RATE_DELAY + int(row[3])] / 0.02
-        at = x + later * (model.F[0] @ x - x)
+        at = x + later * (model.F[0, 0] @ x - x)
         readings[i] = model.H[0, int(4 * row[KIND] + row[3])] @ at + row[SD] * rng.standard_normal()
     return readings
 
@@ -71,6 +73,7 @@ def test_a_response_passes_through_it_as_readings_do() -> None:
     row = Whitened(
         record.ticks, record.rows, without, model, np.arange(m), np.ones(m),
         np.array([record.ticks[:, 0].mean()]), np.zeros(len(record.ticks)),
+        stops_of(record.rows, len(record.ticks)),
     )  # fmt: skip
     out = np.empty((m, 1))
     respond(row, straight_model(speeds, MEAN, SETUP, NOTHING), np.append(MEAN, [0.0] * 3), NOTHING, out)

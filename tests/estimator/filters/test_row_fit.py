@@ -8,7 +8,7 @@ from circle import demo_machine
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from straight_row import raw_response, weaving
+from straight_row import on_a_rut, weaving
 
 from tilth.estimator.filters import row_fit, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -20,6 +20,7 @@ from tilth.estimator.filters.row_fit import (
     along_north,
     epochs_of,
     fitted,
+    plain_row,
 )
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.record.record import (
@@ -27,7 +28,6 @@ from tilth.estimator.record.record import (
     KIND,
     NORTH,
     PSI,
-    SD,
     VALUE,
     VELOCITY,
     WHEEL_ANGLE,
@@ -43,25 +43,8 @@ SETUP = rig_setup(MACHINE)
 COVARIANCE = np.diag(SD_PRIOR**2)
 
 
-def rut(record: Record, rng: np.random.Generator) -> Array:
-    """One disturbance that meets the outputs one after the other: no filter's model."""
-    profile = np.convolve(rng.standard_normal(len(record.ticks) + 400), np.hanning(60), "same")
-    at, kinds = record.rows[:, 0].astype(int), record.rows[:, KIND]
-    later = 60.0 * (record.rows[:, 3] >= 2) + 20.0 * (kinds == YAW_RATE)
-    sizes = np.choose(kinds.astype(int), (0.002, 0.012, 0.0, 0.004, 0.0, 0.001))
-    return np.asarray(sizes * profile[(at + 200 - later).astype(int)] / profile.std())
-
-
 def driven(seconds: float, seed: int, point: Array, slower: int = 1) -> Record:
-    """A row of a rig at a point of the unknowns, on such ground, with white sensors. slower: an odd number of
-    ticks, over which steering is a mean."""
-    record, rng = weaving(seconds, seed=seed), np.random.default_rng(1000 + seed)
-    angle = np.pad(record.ticks[:, WHEEL_ANGLE], slower // 2, "edge")
-    record.ticks[:, WHEEL_ANGLE] = np.convolve(angle, np.ones(slower) / slower, "valid")
-    rows = record.rows.copy()
-    rows[:, VALUE] = raw_response(record, point, SETUP)[:, 0]
-    rows[:, VALUE] += rut(record, rng) + rows[:, SD] * rng.standard_normal(len(rows))
-    return Record(0, record.ticks, rows)
+    return on_a_rut(seconds, seed, point, SETUP, slower)
 
 
 def other_tyres(seed: int) -> Array:
@@ -107,7 +90,7 @@ OF_ROWS_NAMES = ("play", "rate_scale_t", "rate_scale_i")
     "name", ["C_af", "C_ai", "sigma_r", "wheel_gain", "roll_k_t", "d", "lever_t", *OF_ROWS_NAMES]
 )
 def test_slopes_are_those_of_differences(name: str) -> None:
-    fit = RowFit([driven(30.0, 1, MEAN)], SETUP, MEAN, COVARIANCE)
+    fit = RowFit([plain_row(driven(30.0, 1, MEAN))], SETUP, MEAN, COVARIANCE)
     if name in OF_ROWS_NAMES:
         column = OF_ROWS_NAMES.index(name) - len(OF_ROWS_NAMES)
         step, own_step = np.zeros(len(MEAN)), 1e-4 * np.eye(len(fit.none))[column]
@@ -142,7 +125,7 @@ def test_play_of_the_wheel_sensor_is_found_and_moves_no_stiffness(monkeypatch: p
     ticks[:, WHEEL_ANGLE] += np.radians(0.02) * rng.standard_normal(len(ticks))
 
     def found(angles: Array) -> RowPosterior:
-        return RowFit([Record(0, angles, row.rows)], SETUP, MEAN, COVARIANCE).maximise()
+        return RowFit([plain_row(Record(0, angles, row.rows))], SETUP, MEAN, COVARIANCE).maximise()
 
     even, played = found(row.ticks), found(ticks)
     assert abs(even.play) < 0.4 * half and 0.5 * half < played.play < 1.3 * half
@@ -182,7 +165,7 @@ def test_no_number_is_surer_than_the_rows_make_it_at_the_priors_point() -> None:
     true = MEAN.copy()
     true[:6] += (0.0, 0.0, -0.6, 0.3, 0.3, 0.7)
     row = driven(45.0, 5, true)
-    problem = RowFit([row], SETUP, MEAN, COVARIANCE)
+    problem = RowFit([plain_row(row)], SETUP, MEAN, COVARIANCE)
     alone, found = problem.maximise(), fitted([row], SETUP, MEAN, COVARIANCE)
     assert found
     first, at_end, said = (
@@ -198,5 +181,5 @@ def test_without_receivers_on_a_body_it_says_so() -> None:
     body = record.rows[
         (record.rows[:, 3] < 2) & ~((record.rows[:, KIND] == YAW_RATE) & (record.rows[:, 3] == 1))
     ]
-    fit = RowFit([Record(0, record.ticks, body)], SETUP, MEAN, COVARIANCE)
+    fit = RowFit([plain_row(Record(0, record.ticks, body))], SETUP, MEAN, COVARIANCE)
     assert not fit.measured and len(fit.outputs) < len(OUTPUTS)

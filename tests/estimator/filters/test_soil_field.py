@@ -10,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.soil_field import SOIL_FIELD, SoilMemory, SoilWindow, Told, merged, told
+from tilth.estimator.filters.soil_field import (
+    SOIL_FIELD,
+    AskedGround,
+    SoilMemory,
+    SoilWindow,
+    Told,
+    merged,
+    told,
+)
 from tilth.estimator.filters.unknowns import AT, NAMES, NOISE
 
 Array = NDArray[np.float64]
@@ -209,6 +217,43 @@ def test_what_rows_and_turns_differ_by_is_not_taken_for_soil() -> None:
     found = field.at(rig_at(60.0, 12.2 * 12))
     assert field.patchy < 0.2 and found.mean[:3] == pytest.approx(np.zeros(3), abs=0.03)
     assert np.all(np.sqrt(np.diag(found.covariance)[:3]) > 0.06)
+
+
+def test_worked_ground_has_an_effect_of_its_own_that_is_estimated() -> None:
+    """Headlands are worked and softer by a quarter, rows beside them are not."""
+    windows = []
+    for k in range(12):
+        logs = np.repeat([-0.25 * (k % 2), 0.0], 3)
+        one = window(logs, 60.0, 12.2 * k, k=k)
+        windows.append(replace(one, worked=np.full(3, float(k % 2))))
+    field, there = SoilMemory(windows, PRIOR_SD), rig_at(60.0, 12.2 * 12)
+    found = [field.at(there, AskedGround(worked=np.full(3, share))) for share in (0.0, 1.0)]
+    for one, log in zip(found, (0.0, -0.25), strict=True):
+        assert one.mean[:3] == pytest.approx(np.full(3, log), abs=0.04)
+        assert np.all(np.sqrt(np.diag(one.covariance)[:3]) < 0.1)
+    unworked = SoilMemory(windows[::2], PRIOR_SD)
+    rows, headland = (unworked.at(there, AskedGround(worked=np.full(3, share))) for share in (0.0, 1.0))
+    more = np.diag(headland.covariance - rows.covariance)
+    assert np.sqrt(more[:3]) == pytest.approx(np.full(3, SOIL_FIELD.worked)) and not more[3:].any()
+
+
+def test_what_was_told_ages_within_a_run_and_what_differs_from_place_to_place_stays() -> None:
+    hour_ns = 3600 * 10**9
+    windows = [window(np.repeat([-0.4 * (k % 2), 0.0], 3), 200.0 * (k % 2), 6.0 * k, k=k) for k in range(12)]
+    field, wet, dry = SoilMemory(windows, PRIOR_SD), rig_at(190.0, 33.0), rig_at(-10.0, 33.0)
+    now, later, long = (field.at(wet, AskedGround(hours * hour_ns)) for hours in (0, 1, 10))
+    added = [np.sqrt(np.diag(one.covariance - now.covariance)[:3]) for one in (later, long)]
+    assert added[0] == pytest.approx(np.full(3, 0.053), abs=0.005)
+    assert added[1] == pytest.approx(np.full(3, 0.166), abs=0.01)
+    assert np.all(np.diag(long.covariance)[3:] > np.diag(now.covariance)[3:])
+    apart = [
+        field.at(wet, AskedGround(t)).mean - field.at(dry, AskedGround(t)).mean for t in (0, 10 * hour_ns)
+    ]
+    assert apart[1] == pytest.approx(apart[0], abs=0.02)
+    # A window of now says what the level has become; the difference to the other end is still known.
+    fresh = replace(window(np.repeat([0.3, 0.0], 3), 0.0, 33.0), begin_ns=10 * hour_ns)
+    moved = SoilMemory([*windows, fresh], PRIOR_SD).at(wet).mean[:3]
+    assert moved == pytest.approx(np.full(3, -0.1), abs=0.15)
 
 
 def test_many_places_at_once_are_as_each_alone() -> None:

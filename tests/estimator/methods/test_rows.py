@@ -10,12 +10,15 @@ import pytest
 from circle import demo_machine
 from logs import DATA
 from rich.console import Console
+from straight_row import on_a_rut
 
 from tilth.analysis.runs.driving import driving
 from tilth.analysis.runs.run import open_runs
 from tilth.cli.replay import _table
 from tilth.client.received import estimate_of
 from tilth.estimator import fold
+from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
 from tilth.estimator.methods.open_tracker import from_file, opened
@@ -25,6 +28,7 @@ from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.channels import CHANNELS
 from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
+from tilth.schemas.machine import Quantity
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Code, Reason
 
@@ -53,6 +57,31 @@ def result(state: RowsState, job: Job, **changed: Any) -> Fit:
     covariance = 0.01 * job.covariance
     made = Fit(job.mean + 0.1, covariance, 0.9, math.radians(0.5), 110.0, 5, -6.0, False, False, None)
     return replace(made, **changed)
+
+
+@pytest.mark.parametrize("tips", [0.0, 1.0])
+def test_a_front_axle_may_tip_as_its_tyres_let_it_or_not_at_all(tips: float) -> None:
+    """Over what the file's stiffness makes of it; how much one sd of the prior changes it."""
+    state = rows.initial(MACHINE)
+    at, sd = AT["roll_front"], math.sqrt(state.covariance[AT["roll_front"], AT["roll_front"]])
+    said = math.exp(-state.mean[at])
+    assert abs(said - tips) < 1.2 * said * sd
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("stiffer", [0.0, 3.4])  # as its tyres let it; not at all
+def test_relaxation_lengths_hold_whether_the_front_axle_tips_or_not(stiffer: float) -> None:
+    """By their mean error over the sd in four rows of a tractor with a high pin."""
+    tractor = MACHINE.tractor.model_copy(update={"pivot_height": Quantity(value=0.95, sd=0.1)})
+    machine = MACHINE.model_copy(update={"tractor": tractor})
+    mean, _ = unknowns.prior(machine)
+    mean[AT["roll_front"]] += stiffer
+    state, off = rows.initial(machine), []
+    for seed in (0, 1, 2, 6):
+        row = on_a_rut(45.0, seed, mean, rig_setup(machine))
+        made = rows.fit(machine, Job(0, row.end_ns, [row], False, state.mean, state.covariance))
+        off.append((made.mean - mean)[3] / math.hypot(math.sqrt(made.covariance[3, 3]), state.model_sd[3]))
+    assert abs(np.mean(off)) < 0.8
 
 
 def test_a_first_number_after_two_minutes_and_a_better_one_of_the_whole_block() -> None:

@@ -14,6 +14,7 @@ from linear_tyres import linear_tyres
 from settled import MACHINE, ROLLING, point_of, seen, settled
 
 from tilth.estimator.filters import steady_outputs, unknowns
+from tilth.estimator.filters.fit_covariance import FIT_COVARIANCE
 from tilth.estimator.filters.rig_setup import rig_setup
 from tilth.estimator.filters.steady_outputs import (
     CONSTANTS,
@@ -331,6 +332,16 @@ def test_nothing_is_learned_until_slip_has_followed_the_wheels() -> None:
     assert max(usable) > 11.3
 
 
+def test_errors_of_turns_that_are_held_are_those_of_a_fit_of_them() -> None:
+    """They do not average out: however long it turns, it knows no more than a fit of steady circles."""
+    state = steady_state.initial(MACHINE)
+    state.P[:3, :3] = 1e-6 * np.eye(3)
+    state.lateral_square = FIT_COVARIANCE.hard**2
+    steady_state._find_posterior(state)
+    alone = math.hypot(FIT_COVARIANCE.model_sd, FIT_COVARIANCE.held_sd[0])
+    assert math.sqrt(state.log_covariance[0, 0]) >= math.hypot(alone, FIT_COVARIANCE.hard_sd[0])
+
+
 @pytest.mark.parametrize("degrees", [12.0, 25.0])
 def test_tight_turns_leave_room_for_errors_of_the_model(degrees: float) -> None:
     """A hundredth of the wheel angle does there what a fifth of the front tyres' stiffness does."""
@@ -339,7 +350,7 @@ def test_tight_turns_leave_room_for_errors_of_the_model(degrees: float) -> None:
     state, _ = learn(poses_of([(settled(rig, *turn), turn[0]) for turn in turns]))
     assert state.largest_angle == pytest.approx(math.radians(degrees), abs=0.01)
     told = math.sqrt(state.log_covariance[0, 0])
-    state.largest_angle = 0.0
+    state.largest_angle = state.lateral_square = 0.0
     steady_state._find_posterior(state)
     without = math.sqrt(state.log_covariance[0, 0])
     assert (told > without + 0.02) == (degrees > 15.0)

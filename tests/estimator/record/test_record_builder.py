@@ -55,8 +55,8 @@ from tilth.schemas.flow import (
 from tilth.schemas.machine import Machine, Receiver
 from tilth.schemas.reasons import Code
 from tilth.simulator.drive import drive
-from tilth.simulator.receivers import ORIGIN_DEG, reports, wheel_readings
-from tilth.simulator.scenario import Ground, Scenario, SurveyErrors
+from tilth.simulator.receivers import reports, wheel_readings
+from tilth.simulator.scenario import ORIGIN_DEG, Ground, Scenario, SurveyErrors
 from tilth.simulator.tractor import AT, Truth
 
 Array = NDArray[np.float64]

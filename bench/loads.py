@@ -1,0 +1,135 @@
+"""Is another load of the implement told from other soil, and do intervals hold? Drives drawn anew.
+
+    python bench/loads.py [--count 12] [--first 0] [--row told]
+
+Each drive of 110 s turns to and fro, with soil, rig and sensors by its seed; at 60 s something changes,
+over 5 s. Rows: `told`, unloading from 8.5 t to 2.1 t that the operator says, n = 0.7; `unsaid`, the same
+where nobody says the load at any time; `soil`, all stiffnesses × 0.6 with a load that nobody says; `linear`,
+as `unsaid` with n = 1. One line for each drive: events of load and of soil after the change, how far what is
+recommended for C_ai over the mass is off 20 s after the change and at the end, in published sds, and the
+furthest of the numbers given for C_af, C_ar and C_ai.
+"""
+
+import math
+from argparse import ArgumentParser
+from collections.abc import Iterator
+from importlib import resources
+from typing import Final, NamedTuple
+
+import numpy as np
+from estimation_study import FIELD, UNEVEN, fitted_at_once
+
+from tilth.estimator import fold
+from tilth.schemas.flow import PARAMETERS, Carried, Estimate, Event, EventKind, LoadSource, Publication
+from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.scenario import LoadChange, Scenario, Soil, SoilChange
+from tilth.simulator.tractor import draw
+from tilth.simulator.traffic import simulate
+
+AT_S, TAKES_S, SECONDS, LATER_S = 60.0, 5.0, 110.0, 20.0
+FULL, EMPTY = 4.0, 2127.0  # factor on the empty implement's mass; that, kg
+CART: Final = "[implement.load]\nmass = 6381\nahead_of_axle = 0.1\nheight = 1.2\nlength = 5.3\nwidth = 2.8\n"
+WHEELS: Final = ((2.0, 0.0), (7.0, 12.0), (4.0, 0.0), (7.0, -10.0), (2.0, 0.0), (6.0, 14.0), (6.0, -14.0))
+SOFTER: Final = {"C_af": 0.6, "C_ar": 0.6, "C_ai": 0.6}
+
+
+class Case(NamedTuple):
+    exponent: float
+    unloads: bool = True
+    said: bool = False
+
+
+ROWS: Final = {
+    "told": Case(0.7, said=True), "unsaid": Case(0.7), "soil": Case(0.7, unloads=False), "linear": Case(1.0),
+}  # fmt: skip
+
+
+def scenario(case: Case) -> Scenario:
+    loads = (LoadChange(0.0, FULL, exponent=case.exponent),)
+    soil = FIELD
+    if case.unloads:
+        loads += (LoadChange(AT_S, 1.0 / FULL, TAKES_S, case.exponent),)
+    else:
+        soil = Soil(FIELD.grip, FIELD.rolling, changes=(SoilChange(at_s=AT_S, over=TAKES_S, **SOFTER),))
+    return Scenario(
+        seconds=SECONDS, speed=4.0, steering=WHEELS, soil=soil, ground=UNEVEN, loads=loads,
+        other_traffic=False
+    )  # fmt: skip
+
+
+def words(case: Case) -> Iterator[tuple[float, Carried]]:
+    """What the operator says, and when, s."""
+    if case.said:
+        full = (FULL - 1.0) * EMPTY
+        yield 0.0, Carried(0, full, 0.05 * full, LoadSource.OPERATOR)
+        yield AT_S + TAKES_S, Carried(0, 0.0, 0.01 * full, LoadSource.OPERATOR)
+
+
+def driven(case: Case, seed: int) -> str:
+    """One line of what came of a drive."""
+    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
+    machine = parse_machine(text + CART)
+    drive = scenario(case)
+    truth = np.log([draw(machine, seed, drive)[name] for name in PARAMETERS[:3]])
+    truth[2] += case.exponent * math.log(FULL)
+    after = truth + ([0.0, 0.0, -case.exponent * math.log(FULL)] if case.unloads else math.log(0.6))
+    state, out, said = fold.initial(machine), list[Publication](), list(words(case))
+    start_ns = 0
+    for frame in simulate(machine, seed, SECONDS, drive):
+        start_ns = start_ns or frame.t_ns
+        while said and (frame.t_ns - start_ns) * 1e-9 >= said[0][0]:
+            word = said.pop(0)[1]
+            out += fold.carry_load(state, Carried(frame.t_ns, word.mass, word.sd, word.source))
+        out += fitted_at_once(state, frame.t_ns)
+        out += fold.step(state, frame)
+        fold.request_fits(state, frame.t_ns)
+
+    def at_s(publication: Publication) -> float:
+        return (publication.t_ns - start_ns) * 1e-9
+
+    told = [p.value for p in out if isinstance(p.value, Event) and at_s(p) > AT_S]
+    events = [e.notice.code for e in told if e.kind in (EventKind.LOAD, EventKind.SOIL_CHANGE)]
+    found = ", ".join(code for code in events if code != "load_told") or "nothing"
+    best = [(at_s(p), p.value) for p in out if p.topic == "/soil_tire" and isinstance(p.value, Estimate)]
+    mass = math.log(EMPTY * (1.0 if case.unloads else FULL))
+    later = [over_mass(e, after[2] - mass) for s, e in best if s > AT_S + LATER_S]
+    off = [number(e, k, after[k]) for s, e in best if s > AT_S + TAKES_S for k in range(3)]
+    before = [number(e, k, truth[k]) for s, e in best if s < AT_S for k in range(3)]
+    numbers = [z for z in (*before, *off) if math.isfinite(z)]
+    worst = max(numbers, key=abs, default=math.nan)
+    (z20, sd20, err20), (z_end, sd_end, _) = later[0], later[-1]
+    return (
+        f"found: {found}. Over the mass: after 20 s {z20:+.2f} sds of {sd20:.0%}, "
+        f"{err20:+.0%} off; end {z_end:+.2f} of {sd_end:.0%}; furthest number {worst:+.2f}"
+    )
+
+
+def over_mass(estimate: Estimate, truth: float) -> tuple[float, float, float]:
+    """C_ai over the mass: error in sds, sd, error of the logarithm; not a number where there is none."""
+    value, sd = (estimate.per_mass[2], estimate.per_mass_sd[2]) if estimate.per_mass else (None, None)
+    if value is None or sd is None:
+        return math.nan, math.nan, math.nan
+    error = math.log(value) - truth
+    return error / (sd / value), sd / value, error
+
+
+def number(estimate: Estimate, k: int, truth: float) -> float:
+    one = estimate.parameters[k]
+    if one.value is None or one.sd is None:
+        return math.nan
+    return (math.log(one.value) - truth) / (one.sd / one.value)
+
+
+def main() -> None:
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=12)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--row", choices=ROWS, action="append")
+    args = parser.parse_args()
+    for seed in range(args.first, args.first + args.count):
+        for name in args.row or ROWS:
+            print(f"{name:7} {seed:3}  {driven(ROWS[name], seed)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

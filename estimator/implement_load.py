@@ -1,0 +1,131 @@
+"""How much the implement carries, in the state of the fold: who says it, and what is done then.
+
+An operator's word is logged before it is used, a scale's is in the log as frames. Where nobody says it, the
+logarithm of the mass walks; C_ai is then known as badly as the mass, C_ai over it as well as driving tells
+it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from tilth.estimator.diagnosis.widening import OfLoad, widened
+from tilth.estimator.methods.carrying import open_up, take_load
+from tilth.estimator.methods.estimators import rows_for
+from tilth.estimator.methods.place import PlaceState
+from tilth.estimator.models.load import LOAD, aged, laden, of_nobody, of_scale, range_variance, walked
+from tilth.estimator.results.method_state import SixState
+from tilth.estimator.state import ScaleWord, State
+from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Weight
+from tilth.schemas.machine import Machine
+from tilth.schemas.notices import Notice, NoticeCode, notice
+from tilth.schemas.rejections import Rejection
+
+
+def use(state: State, carried: Carried) -> None:
+    """Go on with what somebody has said. The caller begins the open tracker and the aligner anew."""
+    before, state.carried = state.machine, carried
+    state.machine = laden(state.empty, carried)
+    state.walked_ns = carried.t_ns
+    for row in rows_for(state.machine):
+        method_state = state.estimators[row.method]
+        if isinstance(method_state, (SixState, PlaceState)):
+            take_load(method_state, before, state.machine)
+            row.clock_stepped(method_state, 0)  # what is not fitted yet is of the load before
+        else:
+            state.estimators[row.method] = row.initial(state.machine)
+
+
+def told(carried: Carried) -> Notice:
+    return notice(
+        NoticeCode.LOAD_TOLD, mass_t=carried.mass / 1e3, sd_t=carried.sd / 1e3, source=str(carried.source)
+    )
+
+
+def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:
+    """Take a scale's word. What is to be used, if anything is."""
+    mass = of_scale(state.empty, weight.whole_mass, weight.carried_mass)
+    if mass is None or state.carried is None:
+        if state.carried is not None:
+            state.decoder.rejected[Rejection.OUT_OF_RANGE] = (
+                state.decoder.rejected.get(Rejection.OUT_OF_RANGE, 0) + 1
+            )
+        return None
+    before = state.scale
+    if before is None or not 0 <= t_ns - before.t_ns < LOAD.scale_lost_ns:
+        state.scale = ScaleWord(t_ns, mass)
+    else:
+        share = -math.expm1(-(t_ns - before.t_ns) * 1e-9 / LOAD.smoothed_s)
+        state.scale = ScaleWord(t_ns, before.mass + share * (mass - before.mass))
+    own, now = state.empty.implement.mass.value, state.carried
+    change = abs(math.log((own + state.scale.mass) / (own + now.mass)))
+    weighed = now.source is LoadSource.SCALE
+    settled = (t_ns - state.walked_ns) * 1e-9 > LOAD.settled_s
+    if weighed and change <= (LOAD.small_change if settled else LOAD.change):
+        state.carried = replace(now, t_ns=t_ns)
+        return None
+    return Carried(t_ns, state.scale.mass, LOAD.weighed * (own + state.scale.mass), LoadSource.SCALE)
+
+
+def walk(state: State, t_ns: int) -> None:
+    """Time has passed, and nobody has said the load."""
+    if state.carried is None or (
+        state.carried.source is LoadSource.SCALE
+        and (state.scale is not None and t_ns - state.scale.t_ns < LOAD.scale_lost_ns)
+    ):
+        return
+    passed_ns = t_ns - state.walked_ns
+    if 0 <= passed_ns < LOAD.step_ns:
+        return
+    if state.walked_ns and 0 <= passed_ns < LOAD.unknown_ns:
+        variance = walked(state.empty, state.carried, passed_ns * 1e-9)
+        for method_state in state.estimators.values():
+            open_up(method_state, state.machine, variance)
+    state.walked_ns = t_ns
+
+
+def changed(state: State, t_ns: int) -> None:
+    """Driving shows that it has changed, and not by how much: what was said of it is of before."""
+    carried = of_nobody(state.empty, t_ns)
+    assert carried is not None  # only an implement that carries something has such events
+    use(state, carried)
+    for method_state in state.estimators.values():
+        open_up(method_state, state.machine, 4.0 * range_variance(state.empty))  # from one end to the other
+
+
+def in_doubt(state: State, events: list[tuple[str, Notice]]) -> list[tuple[str, Notice]]:
+    """Events of a method that knows places, and not loads: what it takes for soil may be a load that nobody
+    weighs."""
+    if state.carried is None or state.carried.source is LoadSource.SCALE:
+        return events
+    either = EventKind.LOAD, notice(NoticeCode.LOAD_OR_SOIL)
+    return [either if kind == EventKind.SOIL_CHANGE else (kind, told) for kind, told in events]
+
+
+def known_now(state: State, t_ns: int, estimate: Estimate) -> Estimate:
+    """An estimate whose C_ai is as uncertain as the mass is by now. Stiffnesses over the masses are so,
+    too, but
+    by a share: the mass acts on the forces between the bodies."""
+    if state.carried is None:
+        return estimate
+    now, whole = (
+        carried_now(state, t_ns) or state.carried,
+        state.empty.implement.mass.value + state.carried.mass,
+    )
+    over_mass = (LOAD.couples * now.sd / whole) ** 2
+    added = (now.sd**2 - state.carried.sd**2) / whole**2
+    covariance = np.diag([over_mass, over_mass, over_mass + added, 0.0, 0.0, 0.0])
+    return widened(OfLoad(covariance, over_mass), estimate)
+
+
+def carried_now(state: State, t_ns: int) -> Carried | None:
+    """As sure as it is at a time; None where the implement carries nothing."""
+    told = state.carried
+    return told and aged(state.empty, told, (t_ns - told.t_ns) * 1e-9)
+
+
+def later(machine: Machine, carried: Carried | None, elapsed_s: float, t_ns: int) -> Carried | None:
+    """What a run before has left, so much later. machine: as its file describes it."""
+    if carried is None or machine.implement.load is None:
+        return None
+    return replace(aged(machine, carried, elapsed_s), t_ns=t_ns)

@@ -1,0 +1,1 @@
+"""Messages of our own for ROS 2: `tilth_msgs` goes into the `src` of a workspace there."""
