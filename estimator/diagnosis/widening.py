@@ -137,7 +137,7 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit
     know more, and their misfit elsewhere is of other numbers."""
     misfit, found = evidence.misfit, evidence.misfit.found
     birge = max((misfit.total - float(((found / misfit.alone) ** 2).max())) / (len(NAMES) - 1), 1.0)
-    noise = birge * misfit.alone**2 + _UNEVEN**2
+    noise = birge * misfit.alone**2 + (evidence.uneven * _UNEVEN) ** 2
     if fit is not None:
         found, noise = np.where(BY_FIT, fit.found, found), np.where(BY_FIT, fit.alone**2, noise)
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise

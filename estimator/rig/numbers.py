@@ -61,7 +61,7 @@ class RigNumber:
     open_sd: float = 0.0  # prior where it is left open, as wide as people are wrong in a file
     often: float = 1.0  # how much likelier than another it is wrong in a file
     allowed_sd: float = 0.0  # by which a right file may differ from what driving finds: error of the model
-    uneven_sd: float = 0.0  # by how much more uneven ground moves that
+    uneven_sd: float = 0.0  # by how much more rough ground moves that, and less uneven one in proportion
     fit_sd: float = 0.0  # allowed_sd of a fit of whole windows, which is believed of it instead
     in_rows: bool = False  # straight driving tells it, too
     cg_of: str = ""  # of BODIES: it is counted from its CG, whose place has an sd of its own

@@ -114,14 +114,11 @@ def test_at_most_one_number_of_a_file_is_taken_for_wrong(
     """However many are found off: variances of all are at most that of the worst."""
     off = {name: how_far * value for name, value in zip(NAMES, found, strict=True)}
     variances = [float(widening_of(evidence({name: 1.0}, off, alone)).covariance[2, 2]) for name in LOOKED_AT]
-    most = max(
-        abs(off[name]) * open_sd + math.hypot(alone * open_sd, NUMBER[name].uneven_sd)
-        for name, open_sd in zip(NAMES, OPEN_SD, strict=True) if name in LOOKED_AT
-    )  # fmt: skip
+    most = max((abs(off[name]) + alone) * OPEN_SD[NAMES.index(name)] for name in LOOKED_AT)
     assert sum(variances) <= most**2
 
 
-@pytest.mark.parametrize("name", [name for name in LOOKED_AT if not NUMBER[name].uneven_sd])
+@pytest.mark.parametrize("name", LOOKED_AT)
 def test_what_driving_has_excluded_adds_nothing(name: str) -> None:
     before, after = (
         math.sqrt(widening_of(evidence({name: 1.0}, {}, alone)).covariance[2, 2]) for alone in (1.0, 0.1)
@@ -130,14 +127,11 @@ def test_what_driving_has_excluded_adds_nothing(name: str) -> None:
 
 
 def test_an_axle_that_uneven_ground_may_have_moved_is_not_blamed_for_the_wheels_scale() -> None:
-    """As rig 601 had it: what is found of both is as far beyond their sds, and one of them is known to be so
-    on right files."""
+    """As rig 601 had it: more is found of the axle, as it is of right files on uneven ground."""
     found = {"a": 0.35 / NUMBER["a"].open_sd, "wheel_gain": 0.2 / NUMBER["wheel_gain"].open_sd}
-    of_scale, of_axle = (
-        widening_of(evidence({name: 1.0}, found, 0.1 / NUMBER["a"].open_sd)).covariance[2, 2]
-        for name in ("wheel_gain", "a")
-    )
-    assert of_scale > 0.03**2 and of_axle < 0.35**2 * 0.7
+    told = evidence({"wheel_gain": 1.0}, found, 0.1 / NUMBER["a"].open_sd)
+    even, rough = (float(widening_of(replace(told, uneven=share)).covariance[2, 2]) for share in (0.0, 1.0))
+    assert even < 0.03**2 and rough > 4.0 * even
 
 
 @pytest.mark.parametrize(("off", "sure"), [(0.0, True), (0.4, False), (-0.8, False)])
@@ -198,7 +192,7 @@ def test_the_reason_says_which_number_and_what_to_do(
 
 
 @pytest.mark.parametrize(
-    ("slope", "first", "again"), [(4.5, True, True), (7.5, False, True), (9.5, False, False)]
+    ("slope", "first", "again"), [(4.5, True, True), (7.0, False, True), (9.5, False, False)]
 )
 def test_a_number_that_was_given_is_withdrawn_later_than_a_new_one_is_given(
     slope: float, first: bool, again: bool
