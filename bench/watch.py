@@ -1,14 +1,14 @@
 """How soon the watch names what has been moved during field work, and how often it is wrong when nothing was.
 
-    python bench/watch.py moved [--seeds 0-39] [--faults 2] [--keep DONE.jsonl]
-    python bench/watch.py still [--seeds 0-39] [--keep DONE.jsonl]
+    python bench/watch.py moved [--seeds 0-39] [--row fleet_field] [--faults 2] [--keep DONE.jsonl]
+    python bench/watch.py still [--seeds 0-39] [--row fleet_field] [--keep DONE.jsonl]
 
-Uses the fields of bench/spatial_logs.py, of both plants and of the virtual fleet. moved: in each log one
-thing at a time is moved by editing frames from the sixth minute on: a receiver by 10 cm forward or to the
-right, a pair by 1 degree (its front receiver to the side), the wheels' sensor by 1 degree. Prints how long it
-takes to the event, and how often the event names it. still: the same logs as they are, and after each spatial
-field the other rows of the same rig: slope, rough and flat ground, other soil, other speeds. Prints hours,
-false events, and the limit below which their rate is with 95 %.
+Uses the fields of bench/spatial_logs.py, of both plants and of the virtual fleet, or one of them. moved: in
+each log one thing at a time is moved by editing frames from the sixth minute on: a receiver by 10 cm forward
+or to the right, a pair by 1 degree (its front receiver to the side), the wheels' sensor by 1 degree. Prints
+how long it takes to the event, and how often the event names it. still: the same logs as they are, and after
+each spatial field the other rows of the same rig: slope, rough and flat ground, other soil, other speeds.
+Prints hours, false events, and the limit below which their rate is with 95 %.
 --keep: what is done is kept there, a line each, and not done again.
 """
 
@@ -260,12 +260,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="How soon the watch names what has been moved.")
     parser.add_argument("what", choices=("moved", "still"))
     parser.add_argument("--seeds", type=seeds_of, default=range(40), help="of each row, as 0-7")
+    parser.add_argument("--row", choices=FIELDS, action="append", help="only these")
     parser.add_argument("--faults", type=int, default=2, help="of each log, in turn")
     parser.add_argument("--keep", type=Path, help="file of what is done")
     parser.add_argument("--processes", type=int, default=1)
     args = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    each: list[tuple[Any, ...]] = [(row, seed) for seed, row in itertools.product(args.seeds, FIELDS)]
+    each: list[tuple[Any, ...]] = [
+        (row, seed) for seed, row in itertools.product(args.seeds, args.row or FIELDS)
+    ]
     if args.what == "still":
         print_still(done(args.keep, args.processes, without, each))
         return

@@ -113,7 +113,7 @@ def observe(
     state.was_confirmed |= state.confirmed
     state.rates_known |= receiver_checks.turn_rates_known(checks)
     found = _by_key(moved) or _found_at_pose(state, aligner, checks, pose, evidence)
-    by_method = _by_methods(state, evidence.rough)
+    by_method = _by_methods(state)
     if found and not any(key in state.cases for key in by_method):
         by_method = {}  # a consequence of what the other checks have found
     return _update(state, {**found, **by_method}, evidence, pose.t_ns)
@@ -122,7 +122,8 @@ def observe(
 def check_estimate(state: Consistency, machine: Machine, estimate: Estimate) -> None:
     """Check the nuisances and stiffnesses of a method's estimate, before anything of it is withheld."""
     found = findings.implausible_stiffness(machine, estimate)
-    limits = dict(zip(NAMES, CONSISTENCY.nuisance_sds * open_numbers.allowed(machine), strict=True))
+    sds = np.hypot(open_numbers.allowed(machine), [row.uneven_sd for row in open_numbers.OPEN])
+    limits = dict(zip(NAMES, CONSISTENCY.nuisance_sds * sds, strict=True))
     for name, (value, sd) in estimate.nuisances.items():
         if abs(value) > limits.get(name, math.inf):
             of = (name, estimate.method)
@@ -216,21 +217,14 @@ def _of_a_place(one: Diagnosis) -> bool:
     return bool(one.numbers) and NUMBER[one.numbers[0]].place
 
 
-def _may_diverge(one: Diagnosis) -> bool:
-    """Whether rough ground can look like that to a filter: it does like other inertias, or other axles. What
-    straight driving tells too it does not touch."""
-    return not all(NUMBER[name].in_rows for name in one.numbers)
-
-
-def _by_methods(state: Consistency, rough: bool) -> dict[str, Diagnosis]:
+def _by_methods(state: Consistency) -> dict[str, Diagnosis]:
     """What methods find of the file. What a witness does not find that gives numbers, the other has by losing
-    its way, or both have on rough ground: then only what these say themselves is withheld."""
+    its way: then only what that one says itself is withheld."""
     witnesses = [
         {one.key for one in state.methods[method]}
         for method in WITNESSES if method in state.methods and any(state.given.get(method, []))
     ]  # fmt: skip
-    every = (one for wrong in state.methods.values() for one in wrong)
-    found = _by_key(one for one in every if not (rough and _may_diverge(one)))
+    found = _by_key(one for wrong in state.methods.values() for one in wrong)
     return {key: one for key, one in found.items() if all(key in keys for keys in witnesses)}
 
 
@@ -317,7 +311,7 @@ def _update(
         opened = one.code is Code.DRIVING_FINDS
         if not case.found(one, CONSISTENCY.least_poses_open if opened else CONSISTENCY.least_poses):
             continue
-        if opened and (not state.open_restarted or (evidence.rough and _may_diverge(one))):
+        if opened and (not state.open_restarted or (evidence.rough and not NUMBER[one.numbers[0]].in_rows)):
             evidence = _restart_open(state, directive, evidence)
             del state.cases[key]
             continue

@@ -66,6 +66,7 @@ class OpenEvidence:
     learned: int  # segments from which it has learned
     rejected: float  # share of outliers among the rows of its last segments; 0 before there are enough
     rough: bool  # the ground is so uneven that what it finds may be a divergence
+    uneven: float = 0.0  # how far it is from even (0) to that (1)
 
     def restarted(self) -> "OpenEvidence":
         """As if it had begun anew."""

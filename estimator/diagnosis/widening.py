@@ -56,6 +56,7 @@ class WideningTuning:
 WIDENING: Final = WideningTuning()
 SEGMENT_S: Final = ALIGNMENT.pose_ns * 1e-9
 _WRONG_BY: Final = np.array([row.open_sd**2 for row in HYPOTHESES])
+_UNEVEN: Final = np.array([row.uneven_sd for row in HYPOTHESES])
 _OFTEN: Final = np.array(
     [0.0 if row.name in [unknowns.NAMES[k] for k in unknowns.MASSES] else row.often for row in HYPOTHESES]
 )
@@ -136,7 +137,7 @@ def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit
     know more, and their misfit elsewhere is of other numbers."""
     misfit, found = evidence.misfit, evidence.misfit.found
     birge = max((misfit.total - float(((found / misfit.alone) ** 2).max())) / (len(NAMES) - 1), 1.0)
-    noise = birge * misfit.alone**2
+    noise = birge * misfit.alone**2 + (evidence.uneven * _UNEVEN) ** 2
     if fit is not None:
         found, noise = np.where(BY_FIT, fit.found, found), np.where(BY_FIT, fit.alone**2, noise)
     share = _WRONG_BY / (_WRONG_BY + noise)  # of what is found that is no noise

@@ -103,9 +103,10 @@ def observe(
         state.learned += learned
         if learned or state.tracker.reason is Code.HELD:
             state.rows = [*state.rows, _rejected_rows(state.tracker)][-OPEN_TRACKER.outlier_segments :]
+    uneven = max(map(_unevenness, (state.tracker, believing)))  # one that has diverged explains it away
     return OpenEvidence(
         misfit(state.tracker, believing, machine), _at_first(machine), state.learned, _rejected(state.rows),
-        is_rough(state.tracker) or is_rough(believing),  # one that has diverged explains the ground away
+        uneven > 1.0, min(uneven, 1.0),
     )  # fmt: skip
 
 
@@ -182,9 +183,9 @@ def added(before: Array, after: Array) -> Array:
     return np.asarray((axes * np.maximum(sizes, 0.0)) @ axes.T)
 
 
-def is_rough(state: TrackerState) -> bool:
-    """Whether the ground is so uneven that the result may be a divergence."""
-    return math.sqrt(state.disturbance[3]) > OPEN_TRACKER.rough
+def _unevenness(state: TrackerState) -> float:
+    """Above 1 the ground is so uneven that the result may be a divergence."""
+    return math.sqrt(state.disturbance[3]) / OPEN_TRACKER.rough
 
 
 def _rejected(rows: list[tuple[float, float]]) -> float:

@@ -126,6 +126,14 @@ def test_what_driving_has_excluded_adds_nothing(name: str) -> None:
     assert after < 0.2 * before and after < 0.02 * OPEN_SD[NAMES.index(name)] / 0.5 + 0.02
 
 
+def test_an_axle_that_uneven_ground_may_have_moved_is_not_blamed_for_the_wheels_scale() -> None:
+    """As rig 601 had it: more is found of the axle, as it is of right files on uneven ground."""
+    found = {"a": 0.35 / NUMBER["a"].open_sd, "wheel_gain": 0.2 / NUMBER["wheel_gain"].open_sd}
+    told = evidence({"wheel_gain": 1.0}, found, 0.1 / NUMBER["a"].open_sd)
+    even, rough = (float(widening_of(replace(told, uneven=share)).covariance[2, 2]) for share in (0.0, 1.0))
+    assert even < 0.03**2 and rough > 4.0 * even
+
+
 @pytest.mark.parametrize(("off", "sure"), [(0.0, True), (0.4, False), (-0.8, False)])
 def test_of_the_implement_s_axle_a_fit_of_windows_is_believed(off: float, sure: bool) -> None:
     """The second tracker alone knows it to 20 cm at best. Of another number the fit changes nothing."""
