@@ -6,8 +6,8 @@ A log of the demo's traffic (800 frames/s: four receivers, wheel angle, and as m
 wants; with --own only the rig's) is recorded with its results, as the daemon does it, and read back in
 several ways. All ways run in turn; the best round of each counts. Times are of the processor, of all threads
 and processes: other programs that run beside it make them up to twice as long. Kernels are compiled before.
-Last come the first words of all commands. An hour: --seconds 3600 --own --rounds 1. With --since only replays and fits, by the code of a commit and by
-that of here in turn, each with its own log, and the ratio.
+Last come the first words of all commands. An hour: --seconds 3600 --own --rounds 1. With --since only replays
+and fits, by the code of a commit and by that of here in turn, each with its own log, and the ratio.
 """
 
 import argparse
