@@ -27,7 +27,6 @@ UNITS = COUNTED | {
     "m/kg^(1/3)", "rad", "rad/s", "rad/s^0.5", "rad/s^2", "rad s^2/m", "s", "s/s", "s/s^0.5", "sd",
 }  # fmt: skip
 NO_TUNING: Mapping[str, tuple[str, ...]] = {
-    "methods/place": ("IMPLEMENT",),  # which axle it is
     # layouts of arrays, and codes; no limit
     "filters/gates": ("UNLIMITED",),
     "filters/likelihood": ("NOTHING", "NO_READINGS"),

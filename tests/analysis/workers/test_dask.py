@@ -261,8 +261,13 @@ def test_a_season_gives_the_same_table_as_processes_though_a_worker_dies_and_one
 
     try:
         out = tmp_path / "dask"
-        season(logs, out, lambda longest_s: on_dask(cluster.address, hung_s=5.0), progress=trouble)
+        season(
+            [str(log) for log in logs],
+            out,
+            lambda longest_s: on_dask(cluster.address, hung_s=5.0),
+            progress=trouble,
+        )
     finally:
         cluster.workers[1].send_signal(signal.SIGCONT)
-    season(logs, tmp_path / "here", lambda longest_s: here(2))
+    season(names, tmp_path / "here", lambda longest_s: here(2))
     assert (out / TABLE).read_bytes() == (tmp_path / "here" / TABLE).read_bytes()

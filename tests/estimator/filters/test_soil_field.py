@@ -228,9 +228,9 @@ def test_worked_ground_has_an_effect_of_its_own_that_is_estimated() -> None:
         windows.append(replace(one, worked=np.full(3, float(k % 2))))
     field, there = SoilMemory(windows, PRIOR_SD), rig_at(60.0, 12.2 * 12)
     found = [field.at(there, AskedGround(worked=np.full(3, share))) for share in (0.0, 1.0)]
-    for one, log in zip(found, (0.0, -0.25), strict=True):
-        assert one.mean[:3] == pytest.approx(np.full(3, log), abs=0.04)
-        assert np.all(np.sqrt(np.diag(one.covariance)[:3]) < 0.1)
+    for known, log in zip(found, (0.0, -0.25), strict=True):
+        assert known.mean[:3] == pytest.approx(np.full(3, log), abs=0.04)
+        assert np.all(np.sqrt(np.diag(known.covariance)[:3]) < 0.1)
     unworked = SoilMemory(windows[::2], PRIOR_SD)
     rows, headland = (unworked.at(there, AskedGround(worked=np.full(3, share))) for share in (0.0, 1.0))
     more = np.diag(headland.covariance - rows.covariance)
