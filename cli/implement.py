@@ -7,6 +7,7 @@ from tilth.cli.daemon_order import add_options, order
 from tilth.logger.fold_orders import LOAD
 from tilth.logger.hitched import KEY
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.schemas.spread import plus_minus
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -44,4 +45,4 @@ def _carries(load: pb.Carried) -> str:
     if load.source == "nobody":
         return "Nobody has said what it carries."
     said = "a scale" if load.source == "scale" else "the operator"
-    return f"It carries {load.mass / 1e3:.1f} t ± {load.sd / 1e3:.1f} t, as {said} has said."
+    return f"It carries {plus_minus(load.mass / 1e3, load.sd / 1e3, 't')}, as {said} has said."

@@ -20,6 +20,7 @@ from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Weight
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection
+from tilth.schemas.spread import plus_minus
 
 
 def use(state: State, carried: Carried) -> None:
@@ -37,9 +38,9 @@ def use(state: State, carried: Carried) -> None:
 
 
 def told(carried: Carried) -> Notice:
-    return notice(
-        NoticeCode.LOAD_TOLD, mass_t=carried.mass / 1e3, sd_t=carried.sd / 1e3, source=str(carried.source)
-    )
+    mass_t, sd_t = carried.mass / 1e3, carried.sd / 1e3
+    words = plus_minus(mass_t, sd_t, "t")
+    return notice(NoticeCode.LOAD_TOLD, mass_t=mass_t, sd_t=sd_t, carried=words, source=str(carried.source))
 
 
 def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:

@@ -15,7 +15,7 @@ OF_SD: Final = 1e-4  # of a value with its sd beside it, in sds: within this sha
 TOLERANCES: Final[dict[str, dict[str, float]]] = {
     "Measurement": dict.fromkeys(
         ("sd", "latitude_deg", "longitude_deg", "altitude_m", "course", "speed", "heading", "yaw_rate",
-         "roll", "pitch", "hdop", "angle", "curvature"), PURE,
+         "roll", "pitch", "hdop", "angle", "curvature", "whole_mass", "carried_mass"), PURE,
     ),
     "LocationFix": dict.fromkeys(("latitude", "longitude", "altitude", "position_covariance"), PURE),
     "Pose": {

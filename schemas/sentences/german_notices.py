@@ -179,7 +179,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TYRES_CHANGED: "{reason}. Keine Schätzung benutzt ihn; so annehmen ({which})",
     NoticeCode.TYRES_BACK: "der Radius der Reifen ist wieder der alte: {key}",
     NoticeCode.ACCEPTED: "angenommen: {reason}; für die Maschinendatei: {line}",
-    NoticeCode.LOAD_TOLD: "das Gerät trägt {mass_t:.1f} t ± {sd_t:.1f} t ({source})",
+    NoticeCode.LOAD_TOLD: "das Gerät trägt {carried}; gesagt von: {source}",
     NoticeCode.LOAD_CHANGED: (
         "das Gerät trägt mehr oder weniger als vorher: seine Reifen halten anders, bezogen auf seine Masse, die "
         "des Traktors wie vorher. C_ai hat wieder einen Wert, wenn jemand die Ladung sagt, etwa mit "

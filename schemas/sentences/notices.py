@@ -191,7 +191,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TYRES_CHANGED: "{reason}. No estimate uses it; accept it as it is now ({which})",
     NoticeCode.TYRES_BACK: "the tyres' radius is what it was before: {key}",
     NoticeCode.ACCEPTED: "accepted: {reason}; for the machine file: {line}",
-    NoticeCode.LOAD_TOLD: "the implement carries {mass_t:.1f} t ± {sd_t:.1f} t ({source})",
+    NoticeCode.LOAD_TOLD: "the implement carries {carried}; told by: {source}",
     NoticeCode.LOAD_CHANGED: (
         "the implement carries more or less than before: its tyres hold otherwise over its mass, the "
         "tractor's as before. C_ai has a number again when somebody says the load, as by `tilth implement "

@@ -26,7 +26,8 @@ SHIPPED = {
 
 def in_the_tree(name: str) -> str:
     """Where a file of the wheel is in the checkout."""
-    return name.removeprefix("tilth/").replace("adaptive_guidance", "examples/adaptive_guidance")
+    place = name.removeprefix("tilth/")
+    return f"examples/{place}" if place.startswith(("adaptive_guidance/", "ros2/")) else place
 
 
 def test_the_licences_of_what_it_ships_are_in_the_wheel(wheel: Path) -> None:

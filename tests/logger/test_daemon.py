@@ -69,6 +69,7 @@ class Command:
 
     def ready(self) -> None:
         assert self.process.stdout is not None
+        assert self.process.stdout.readline().endswith("starting\n")
         assert "recording, 0.0 MB" in self.process.stdout.readline()
 
     @property

@@ -43,6 +43,8 @@ FACTS: list[tuple[int, str, int, str | None, int, int, float, float, float]] = [
     (65096, "direction", 1864, None, 56, 2, 0.0, 3.0, 1.0),
     (65097, "speed_mps", 1859, None, 0, 16, 0.0, 64.255, 1.0),
     (65097, "direction", 1861, None, 56, 2, 0.0, 3.0, 1.0),
+    (65258, "whole_mass_kg", 180, "Trailer_Weight", 24, 16, 0.0, 128510.0, 1.0),
+    (65258, "carried_mass_kg", 181, "Cargo_Weight", 40, 16, 0.0, 128510.0, 1.0),
     (61449, "hand_wheel_angle_rad", 1807, "Steering_Wheel_Angle", 0, 16, -31.374, 31.374, -1.0),
     (61449, "yaw_rate_radps", 1808, "Yaw_Rate", 24, 16, -3.92, 3.92, -1.0),
 ]

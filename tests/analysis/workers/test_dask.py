@@ -259,6 +259,7 @@ def test_a_season_gives_the_same_table_as_processes_though_a_worker_dies_and_one
             cluster.workers[0].kill()
             cluster.workers[1].send_signal(signal.SIGSTOP)
 
+    names = [str(log) for log in logs]
     try:
         out = tmp_path / "dask"
         season(
