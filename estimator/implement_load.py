@@ -38,9 +38,8 @@ def use(state: State, carried: Carried) -> None:
 
 
 def told(carried: Carried) -> Notice:
-    mass_t, sd_t = carried.mass / 1e3, carried.sd / 1e3
-    words = plus_minus(mass_t, sd_t, "t")
-    return notice(NoticeCode.LOAD_TOLD, mass_t=mass_t, sd_t=sd_t, carried=words, source=str(carried.source))
+    words = plus_minus(carried.mass / 1e3, carried.sd / 1e3, "t")
+    return notice(NoticeCode.LOAD_TOLD, carried=words, source=str(carried.source))
 
 
 def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:

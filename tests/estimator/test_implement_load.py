@@ -156,4 +156,4 @@ def test_a_run_that_comes_back_later_knows_less() -> None:
 def test_an_event_of_the_load_is_one() -> None:
     out = fold.carry_load(fold.initial(CART), replace(FULL, t_ns=S))
     (event,) = (p.value for p in out if isinstance(p.value, Event))
-    assert event.kind == EventKind.LOAD and event.notice.values["mass_t"] == 6.0
+    assert event.kind == EventKind.LOAD and str(event.notice.values["carried"]).startswith("6.00 ±")

@@ -104,4 +104,4 @@ def test_bits_stand_where_the_public_dbc_has_them(database: dict[int, Any]) -> N
         field = field_of(row(pgn), key)
         assert (signal.start, signal.length, signal.byte_order) == (field.start, field.bits, "little_endian")
         compared += 1
-    assert compared == 16
+    assert compared == 18
