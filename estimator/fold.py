@@ -30,7 +30,7 @@ from tilth.estimator.pose.usual_frames import usual
 from tilth.estimator.record import record_builder
 from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.method_state import SixState, take_events
-from tilth.estimator.results.recommend import OFFERED, disagreement, recommend
+from tilth.estimator.results.recommend import OFFERED, beside_better, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.state import State as State
 from tilth.estimator.tuning import tuned
@@ -158,7 +158,8 @@ def estimates_now(state: State) -> dict[str, Estimate]:
         )
         for row in rows_for(state.machine)
     }
-    return {**now, RECOMMENDED: _recommended(state, now, state.latest_ns)}
+    shown = {method: beside_better(estimate, now) for method, estimate in now.items()}
+    return {**shown, RECOMMENDED: _recommended(state, now, state.latest_ns)}
 
 
 def _now(state: State, made: Estimate) -> Estimate:
@@ -453,7 +454,8 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     for estimate in estimates:
         estimate = diagnosis.checked(state.diagnosis, state.machine, _now(state, estimate))
         state.estimates[estimate.method] = estimate
-        out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", estimate))
+        shown = beside_better(estimate, state.estimates)
+        out.append(Publication(t_ns, f"/soil_tire/{estimate.method}", shown))
     if not any(estimate.method in OFFERED for estimate in estimates):
         return  # other methods are there for comparison only and change no recommendation
     found = disagreement(state.estimates, state.disagree)

@@ -114,6 +114,22 @@ class OfSoil:
 
 
 @dataclass(frozen=True, slots=True)
+class OfEvenGround:
+    """What taking the ground for even leaves out of the uncertainty of the six."""
+
+    covariance: Array  # (6, 6), of logarithms
+
+    def limit(self, own: float, had: bool = False) -> float:
+        """As of `Widening`; what was given before is given no longer."""
+        return max(WIDENING.widest, WIDENING.least * own)
+
+    def reason(self, k: int, own: float, limit: float) -> Reason | None:
+        """As of `Widening`."""
+        total = math.hypot(own, math.sqrt(self.covariance[k, k]))
+        return None if total <= limit else Reason(Code.WIDE, numbers=(total,))
+
+
+@dataclass(frozen=True, slots=True)
 class OfLoad:
     """What is not known of the implement's load does to the six."""
 
@@ -130,6 +146,9 @@ class OfLoad:
         if math.hypot(own, added) <= limit:
             return None
         return Reason(Code.OF_THE_MASS, ("implement.mass",), (added, own))
+
+
+_Wider = Widening | OfSoil | OfLoad | OfEvenGround
 
 
 def widening_of(evidence: OpenEvidence, known: Collection[str] = (), fit: Misfit | None = None) -> Widening:
@@ -162,7 +181,7 @@ def _probabilities(log_factors: Array, often: Array) -> Array:
     return np.asarray(wrong / ((1.0 - WIDENING.wrong) * math.exp(-top) + wrong.sum()), np.float64)
 
 
-def widened(widening: Widening | OfSoil | OfLoad, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
+def widened(widening: _Wider, estimate: Estimate, had: Sequence[bool] = ()) -> Estimate:
     """An estimate as wide as file or soil may be otherwise; without the numbers that this leaves useless.
     had: which of the six it had before; these are withdrawn later than new ones are given."""
     if not estimate.log_covariance or not widening.covariance.any():
@@ -188,7 +207,7 @@ def widened(widening: Widening | OfSoil | OfLoad, estimate: Estimate, had: Seque
 
 
 def _over_mass(
-    widening: Widening | OfSoil | OfLoad, estimate: Estimate, k: int, added: float, had: bool
+    widening: _Wider, estimate: Estimate, k: int, added: float, had: bool
 ) -> tuple[float | None, float | None]:
     """(value, sd) of a stiffness over the mass, which errors of the mass do not widen. added: variance."""
     if k >= len(estimate.per_mass_sd):
@@ -200,9 +219,7 @@ def _over_mass(
     return (value, value * total) if total <= widening.limit(sd / value, had) else (None, None)
 
 
-def _parameter(
-    widening: Widening | OfSoil | OfLoad, k: int, given: ParameterEstimate, had: bool
-) -> ParameterEstimate:
+def _parameter(widening: _Wider, k: int, given: ParameterEstimate, had: bool) -> ParameterEstimate:
     if given.value is None or given.sd is None:
         return given
     own = given.sd / given.value
@@ -213,6 +230,6 @@ def _parameter(
     return replace(given, value=None, sd=None, status=Status.UNESTIMATED, reason=reason)
 
 
-def _of_combination(widening: Widening | OfSoil | OfLoad, one: Combination) -> float:
+def _of_combination(widening: _Wider, one: Combination) -> float:
     weights = np.array(one.exponents)
     return math.sqrt(one.log_sd**2 + float(weights @ widening.covariance @ weights))

@@ -8,8 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from tilth.estimator.diagnosis.widening import OfEvenGround, widened
 from tilth.estimator.tuning import tuned
-from tilth.schemas.flow import Estimate, Status
+from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Reason
 
 RECOMMENDED: Final = "recommended"
@@ -93,6 +94,35 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
                 numbers = (distance, float(shared), RECOMMENDATION.disagree_above[shared])
                 return Reason(Code.DISAGREE, (one.method, other.method), numbers)
     return None
+
+
+def beside_better(estimate: Estimate, estimates: Mapping[str, Estimate]) -> Estimate:
+    """An estimate of steady_state beside those of PREFERRED that come before it, which have used the same
+    driving and more: no surer than the surest of them, since it takes the ground for even where they do not;
+    and without its numbers where one of them disagrees with them. All other estimates stay as they are."""
+    if estimate.method != PREFERRED[-1] or not estimate.log_covariance:
+        return estimate
+    better = [m for m in PREFERRED[:-1] if m in estimates and not (m == "pem" and _outdated(estimates))]
+    for other in (estimates[m] for m in better):
+        distance, shared = _distance(other, estimate)
+        if shared and not distance <= (limit := RECOMMENDATION.disagree_above[shared]):
+            reason = Reason(Code.DISAGREE, (other.method, estimate.method), (distance, float(shared), limit))
+            parameters = tuple(
+                one if one.value is None else ParameterEstimate(None, None, Status.INVALID, reason, one.age_s)
+                for one in estimate.parameters
+            )
+            unknown = (None,) * len(parameters)
+            return replace(estimate, parameters=parameters, per_mass=unknown, per_mass_sd=unknown)
+    added, own = np.zeros(6), np.diag(np.reshape(estimate.log_covariance, (6, 6)))
+    for k in range(6):
+        told = [
+            float(np.reshape(one.log_covariance, (6, 6))[k, k])
+            for one in (estimates[m] for m in better)
+            if one.log_covariance and one.parameters[k].age_s is not None
+        ]
+        if told:
+            added[k] = max(min(told) - own[k], 0.0)
+    return widened(OfEvenGround(np.diag(added)), estimate)
 
 
 def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reason]]:

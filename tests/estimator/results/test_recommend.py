@@ -13,6 +13,7 @@ from tilth.estimator.results.recommend import (
     RECOMMENDATION,
     RECOMMENDED,
     SINCE_CHANGE,
+    beside_better,
     disagreement,
     recommend,
 )
@@ -237,3 +238,52 @@ def test_leans_and_slope_are_those_of_the_tracker_whichever_method_is_recommende
     assert sentence(result.rule).startswith(METHODS[ENGLISH]["pem"]) and result.excitation == {
         "lean_tractor_deg": 0.6
     }
+
+
+@pytest.mark.parametrize(
+    ("others", "kept"),
+    [
+        ((estimate("pem"),), True),
+        ((estimate("pem", off=0.6),), False),
+        ((estimate("pem", U), estimate("tracker", off=-0.6)), False),
+        ((estimate("pem", S, off=0.6), estimate("tracker")), True),  # of before
+        ((estimate("pem", off=0.6, age=130.0), estimate("tracker", change=50.0)), True),
+        ((estimate("place", off=0.6), estimate("rows", off=0.6)), True),  # they may rightly differ
+    ],
+)
+def test_steady_state_has_no_number_where_one_that_knows_more_disagrees(
+    others: tuple[Estimate, ...], kept: bool
+) -> None:
+    own = estimate("steady_state", THREE, sd=0.15)
+    shown = beside_better(own, {one.method: one for one in (*others, own)})
+    assert (shown == own) == kept
+    if not kept:
+        assert all(one.value is None and one.status is not E for one in shown.parameters)
+        assert [one.status for one in shown.parameters] == [I, I, I, U, U, U]
+        assert "steady turns disagree" in sentence(shown.parameters[0].reason)
+    for other in others:
+        assert beside_better(other, {one.method: one for one in (*others, own)}) == other
+
+
+@pytest.mark.parametrize(
+    ("others", "sd"),
+    [
+        ((), 0.15),
+        ((estimate("pem", sd=0.05),), 0.15),
+        ((estimate("pem", sd=0.25),), 0.25),
+        ((estimate("pem", sd=0.25), estimate("tracker", sd=0.2)), 0.2),
+        ((estimate("pem", U, sd=0.5),), 0.15),  # which has learned nothing
+        ((estimate("pem", sd=0.5),), None),
+    ],
+)
+def test_steady_state_is_no_surer_than_methods_that_know_more(
+    others: tuple[Estimate, ...], sd: float | None
+) -> None:
+    own = estimate("steady_state", THREE, sd=0.15)
+    shown = beside_better(own, {one.method: one for one in (*others, own)})
+    for before, now in zip(own.parameters[:3], shown.parameters[:3], strict=True):
+        assert before.value is not None
+        if sd is None:
+            assert now.value is None and now.reason is not None and now.reason.code == Code.WIDE
+        else:
+            assert now.value == before.value and now.sd == pytest.approx(sd * before.value)
