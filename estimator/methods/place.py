@@ -244,7 +244,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     window = replace(window, epoch=kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
-    foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(before, window)
+    foreseen = of_pem and bool(kept) and likely > PLACE.doubted and _expects_change(state, kept, window)
     if likely < PLACE.unexpected:
         if not of_pem:  # else it is told by pem
             state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
@@ -257,8 +257,9 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     return foreseen
 
 
-def _expects_change(soil: SoilMemory, window: SoilWindow) -> bool:
+def _expects_change(state: PlaceState, kept: Sequence[SoilWindow], window: SoilWindow) -> bool:
     """Whether soil on its way is known, or is known to differ from place to place."""
+    soil = _between_windows(kept, state.prior_sd)
     there = soil.at(window.path, AskedGround(window.begin_ns, window.worked))
     return soil.patchy > PLACE.patchy or _common_sd(there) < PLACE.known_sd
 
@@ -268,10 +269,16 @@ def expects(state: PlaceState, logs: Array) -> bool:
     as the method has them while they are still roughly known, (n,)."""
     if state.axles is None or not state.windows:
         return False
-    there = _soil(state).at(state.axles, _asked(state))
+    there = _between_windows(state.windows, state.prior_sd).at(state.axles, _asked(state))
     off = float(np.mean((logs[SIX] - state.prior_mean[SIX] - there.mean)[:AXLES]))
     sd = _common_sd(there)
     return sd < PLACE.known_sd and abs(off) < 2.0 * math.hypot(sd, PLACE.known_sd)
+
+
+def _between_windows(windows: Sequence[SoilWindow], prior_sd: Vector) -> SoilMemory:
+    """What windows tell beside each other. Whether a change is news is asked of this: that soil was alike along
+    a way says nothing of what it becomes there later."""
+    return SoilMemory([replace(w, told=replace(w.told, patches=0.0)) for w in windows], prior_sd)
 
 
 def _common_sd(there: soil_field.At) -> float:

@@ -124,7 +124,8 @@ def test_the_real_daemon_killed_while_driving(seconds: float, tmp_path: Path) ->
                           (from_s(seconds + 4.0, seconds + 7.0), signal.SIGTERM)):  # fmt: skip
             words = [sys.executable, "-c", COMMAND, "run", str(file)]
             daemon = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-            assert daemon.stdout is not None and "recording, 0.0 MB" in daemon.stdout.readline()
+            assert daemon.stdout is not None and daemon.stdout.readline().endswith("starting\n")
+            assert "recording, 0.0 MB" in daemon.stdout.readline()
             at = [0.001 * i for i in range(len(part))]
             sender.begin([port], [(0, f, s) for f, s in zip(part, at, strict=True)])
             sender.finish()
