@@ -244,7 +244,7 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     window = replace(window, epoch=kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
-    foreseen = of_pem and bool(kept) and likely > PLACE.doubted and _expects_change(state, kept, window)
+    foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(state, kept, window)
     if likely < PLACE.unexpected:
         if not of_pem:  # else it is told by pem
             state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
@@ -276,8 +276,8 @@ def expects(state: PlaceState, logs: Array) -> bool:
 
 
 def _between_windows(windows: Sequence[SoilWindow], prior_sd: Vector) -> SoilMemory:
-    """What windows tell beside each other. Whether a change is news is asked of this: that soil was alike along
-    a way says nothing of what it becomes there later."""
+    """What windows tell beside each other. Whether a change is news is asked of this: that soil was alike
+    along a way says nothing of what it becomes there later."""
     return SoilMemory([replace(w, told=replace(w.told, patches=0.0)) for w in windows], prior_sd)
 
 

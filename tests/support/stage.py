@@ -253,7 +253,8 @@ def main() -> None:
         query.reply(query.key_expr, b"")
 
     def load(query: zenoh.Query, client: str) -> None:
-        orders["load"] = {"full": 6000.0, "empty": 0.0}[query.payload.to_string() if query.payload else ""]
+        said = query.payload.to_string() if query.payload is not None else ""
+        orders["load"] = {"full": 6000.0, "empty": 0.0}[said]
         query.reply(query.key_expr, b"")
 
     answers = {"mark": mark, "accept": accept, "implement": implement, "load": load}
