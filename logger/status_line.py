@@ -138,7 +138,9 @@ def _times(count: int) -> str:
 
 def preparing_text(status: pb.Status) -> str:
     """What is still being made ready, and about how long that takes."""
-    remaining = f", about {status.ready_in_s:.0f} s left" if status.HasField("ready_in_s") else ""
+    # A forecast that has come down to nothing was too short: how long the last ones take is not known.
+    is_foretold = status.HasField("ready_in_s") and status.ready_in_s >= 1.0
+    remaining = f", about {status.ready_in_s:.0f} s left" if is_foretold else ""
     return f"{status.preparing}{remaining}"
 
 
