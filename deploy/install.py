@@ -113,15 +113,18 @@ def machine(box: Box, args: argparse.Namespace) -> None:
     beside = _files_beside(args.machine)
     _check_machine(release, args.machine)
     place = box.at(MACHINE)
-    before = place.read_bytes() if place.exists() else None
+    before = place.with_name(f".{place.name}.before")
+    if place.exists():
+        _put(place, before)
     _take(box, args, beside)
     try:
         _switch(box, release)
     except Failed:
-        if before is not None:
-            place.write_bytes(before)
+        if before.exists():
+            before.replace(place)
             _start(box)
         raise
+    before.unlink(missing_ok=True)
 
 
 def _take(box: Box, args: argparse.Namespace, beside: Sequence[Path]) -> None:

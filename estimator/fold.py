@@ -158,8 +158,13 @@ def estimates_now(state: State) -> dict[str, Estimate]:
         )
         for row in rows_for(state.machine)
     }
-    shown = {method: beside_better(estimate, now) for method, estimate in now.items()}
-    return {**shown, RECOMMENDED: _recommended(state, now, state.latest_ns)}
+    shown = _shown(now)
+    return {**shown, RECOMMENDED: _recommended(state, shown, state.latest_ns)}
+
+
+def _shown(estimates: Mapping[str, Estimate]) -> dict[str, Estimate]:
+    """As they may be published, and recommended, beside each other."""
+    return {method: beside_better(estimate, estimates) for method, estimate in estimates.items()}
 
 
 def _now(state: State, made: Estimate) -> Estimate:
@@ -462,7 +467,7 @@ def _publish_estimates(state: State, t_ns: int, estimates: list[Estimate], out: 
     if found and not state.disagree:
         _publish_event(state, t_ns, EventKind.DISAGREEMENT, reasoned(found), out)
     state.disagree = bool(found)
-    best = state.estimates[RECOMMENDED] = _recommended(state, state.estimates, t_ns)
+    best = state.estimates[RECOMMENDED] = _recommended(state, _shown(state.estimates), t_ns)
     out.append(Publication(t_ns, "/soil_tire", best))
 
 

@@ -44,12 +44,12 @@ def told(carried: Carried) -> Notice:
 
 def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:
     """Take a scale's word. What is to be used, if anything is."""
+    if state.carried is None:
+        return None
     mass = of_scale(state.empty, weight.whole_mass, weight.carried_mass)
-    if mass is None or state.carried is None:
-        if state.carried is not None:
-            state.decoder.rejected[Rejection.OUT_OF_RANGE] = (
-                state.decoder.rejected.get(Rejection.OUT_OF_RANGE, 0) + 1
-            )
+    if mass is None:
+        rejected = state.decoder.rejected
+        rejected[Rejection.OUT_OF_RANGE] = rejected.get(Rejection.OUT_OF_RANGE, 0) + 1
         return None
     before = state.scale
     if before is None or not 0 <= t_ns - before.t_ns < LOAD.scale_lost_ns:
@@ -103,15 +103,12 @@ def in_doubt(state: State, events: list[tuple[str, Notice]]) -> list[tuple[str, 
 
 
 def known_now(state: State, t_ns: int, estimate: Estimate) -> Estimate:
-    """An estimate whose C_ai is as uncertain as the mass is by now. Stiffnesses over the masses are so,
-    too, but
-    by a share: the mass acts on the forces between the bodies."""
+    """An estimate whose C_ai is as uncertain as the mass is by now. Stiffnesses over the masses are so, too,
+    but by a share: the mass acts on the forces between the bodies."""
     if state.carried is None:
         return estimate
-    now, whole = (
-        carried_now(state, t_ns) or state.carried,
-        state.empty.implement.mass.value + state.carried.mass,
-    )
+    now = carried_now(state, t_ns) or state.carried
+    whole = state.empty.implement.mass.value + state.carried.mass
     over_mass = (LOAD.couples * now.sd / whole) ** 2
     added = (now.sd**2 - state.carried.sd**2) / whole**2
     covariance = np.diag([over_mass, over_mass, over_mass + added, 0.0, 0.0, 0.0])

@@ -103,8 +103,7 @@ def aged(machine: Machine, told: Carried, seconds: float) -> Carried:
 
 def walked(machine: Machine, told: Carried, seconds: float) -> float:
     """By how much the variance of the logarithm of its mass grows, about what was told. machine: with the
-    empty
-    implement."""
+    empty implement."""
     load = machine.implement.load
     return 0.0 if load is None else _any_variance(machine, told) * max(seconds, 0.0) / load.lasts
 
@@ -129,8 +128,7 @@ def of_scale(machine: Machine, whole: float | None, content: float | None) -> fl
 
 def moved_by(machine: Machine, variance: float) -> Array:
     """Covariance of the six logarithms, (6, 6), learned over masses as told, by that variance of the
-    logarithm
-    of the implement's mass: its stiffness over it moves with the exponent less one."""
+    logarithm of the implement's mass: its stiffness over it moves with the exponent less one."""
     load, covariance = machine.implement.load, np.zeros((6, 6))
     if load is not None:
         covariance[2, 2] = variance * ((load.exponent.value - 1.0) ** 2 + load.exponent.sd**2)

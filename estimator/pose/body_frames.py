@@ -55,11 +55,16 @@ def _body(name: str, body: BodyPose, cg_height: float) -> list[Transform]:
     if body.x is None or body.y is None or body.heading is None:
         return []
     roll = body.roll or 0.0
-    _, _, sin_yaw, cos_yaw = _yaw_quaternion(math.pi / 2 - body.heading)
+    at = body.y, body.x, cg_height * math.cos(roll)
+    return [Transform(WORLD, name, at, body_quaternion(body.heading, roll))]
+
+
+def body_quaternion(heading: float, roll: float) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of a body in the world of viewers. Angles in rad, of this project."""
+    _, _, sin_yaw, cos_yaw = _yaw_quaternion(math.pi / 2 - heading)
     sin_roll, cos_roll = math.sin(roll / 2), math.cos(roll / 2)
     # Rotation about z, then about the new x. Roll, right side down, has the same sign in both systems.
-    rotation = (cos_yaw * sin_roll, sin_yaw * sin_roll, sin_yaw * cos_roll, cos_yaw * cos_roll)
-    return [Transform(WORLD, name, (body.y, body.x, cg_height * math.cos(roll)), rotation)]
+    return cos_yaw * sin_roll, sin_yaw * sin_roll, sin_yaw * cos_roll, cos_yaw * cos_roll
 
 
 def _yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:

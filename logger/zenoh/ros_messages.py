@@ -22,6 +22,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from tilth.estimator.pose.body_frames import body_quaternion
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Machine
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -230,14 +231,7 @@ class RosMessages:
 
 
 def _pose_of(body: pb.BodyPose) -> Any:
-    yaw = math.pi / 2 - body.heading
-    roll = body.roll / 2
-    quaternion = _quaternion(
-        math.cos(yaw / 2) * math.sin(roll),
-        math.sin(yaw / 2) * math.sin(roll),
-        math.sin(yaw / 2) * math.cos(roll),
-        math.cos(yaw / 2) * math.cos(roll),
-    )
+    quaternion = _quaternion(*body_quaternion(body.heading, body.roll))
     point = _new("geometry_msgs/msg/Point", x=body.y, y=body.x, z=0.0)
     position = _variance(body, "sd_position")
     return _new(

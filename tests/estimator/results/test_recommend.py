@@ -287,3 +287,12 @@ def test_steady_state_is_no_surer_than_methods_that_know_more(
             assert now.value is None and now.reason is not None and now.reason.code == Code.WIDE
         else:
             assert now.value == before.value and now.sd == pytest.approx(sd * before.value)
+
+
+def test_what_is_recommended_is_no_surer_either() -> None:
+    """Where pem has used the drive and has no number of it, steady_state is not the way round that."""
+    wide, own = estimate("pem", U, sd=0.5), estimate("steady_state", THREE, sd=0.15)
+    rows = tuple(replace(one, age_s=5.0) for one in wide.parameters)
+    both = {"pem": replace(wide, parameters=rows), "steady_state": own}
+    result = recommend({method: beside_better(one, both) for method, one in both.items()}, 9)
+    assert all(one.value is None for one in result.parameters)
