@@ -3,7 +3,7 @@
 schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json; uv.lock →
 deploy/constraints.txt, the versions that a recorder is installed with; deploy/motion_equations.py →
 estimator/models/generated/rolling_kernels.py; deploy/observation_equations.py → observation_kernels.py there;
-schemas/sentences/ → docs/codes.md.
+schemas/sentences/ → docs/codes.md; schemas/proto/tilth.proto's comments → docs/wire.md.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from tilth.deploy import codes_page, motion_equations, observation_equations
+from tilth.deploy import codes_page, motion_equations, observation_equations, wire_page
 from tilth.schemas.machine import Machine
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -35,6 +35,7 @@ def generated(root: Path) -> Iterator[tuple[str, bytes]]:
     for equations in (motion_equations, observation_equations):
         yield equations.TARGET, equations.source().encode()
     yield codes_page.TARGET, codes_page.text().encode()
+    yield wire_page.TARGET, wire_page.text().encode()
     exported = subprocess.run([*EXPORT.split(), "--directory", str(root)], capture_output=True, check=True)
     yield "deploy/constraints.txt", exported.stdout
 

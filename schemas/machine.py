@@ -363,11 +363,20 @@ class Zenoh(_Section):
         description="true: also publish as a node of ROS 2, for rmw_zenoh; needs the package `tilth[ros]`",
     )
     ros_domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID of that node")
+    ros_replay_domain: int = Field(
+        default=100, ge=0, le=232, description="ROS_DOMAIN_ID of replays and simulations: no robot hears them"
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         if self.config is not None and self.model_fields_set & {"listen", "connect"}:
             raise ValueError("give config, or listen and connect: that file has its own endpoints")
+        return self
+
+    @model_validator(mode="after")
+    def _replays_apart(self) -> Self:
+        if self.ros_replay_domain == self.ros_domain:
+            raise ValueError("ros_replay_domain must not be ros_domain: robots would hear replays")
         return self
 
 

@@ -56,6 +56,7 @@ class TableFile(Protocol):
 class CsvFile:
     """RFC 4180 in UTF-8: a header, CRLF, points in numbers, an empty cell for what is absent.
 
+    Numbers have no exponent: PlotJuggler takes a column whose first number has one for texts.
     A text that a spreadsheet would take for a formula has an apostrophe before it, and so has one that begins
     with an apostrophe: to read a text as it was, take one away.
     """
@@ -89,7 +90,13 @@ def _quoted(text: str) -> str:
 
 
 def _doubles(values: NDArray[Any], absent: Mask | None) -> list[str]:
-    return ["" if value != value else repr(value) for value in values.tolist()]
+    return ["" if value != value else _decimal(value) for value in values.tolist()]
+
+
+def _decimal(value: float) -> str:
+    """The shortest that is read back to the same number."""
+    text = repr(value)
+    return np.format_float_positional(value, trim="0") if "e" in text else text
 
 
 def _wholes(values: NDArray[Any], absent: Mask | None) -> list[str]:

@@ -47,13 +47,14 @@ class RosNode:
 
     def __init__(self, session: zenoh.Session, machine: Machine, replayed: bool) -> None:
         self._messages = RosMessages(machine, replayed)
-        head = f"@ros2_lv/{machine.zenoh.ros_domain}/{session.zid()}/0"
+        domain = machine.zenoh.ros_replay_domain if replayed else machine.zenoh.ros_domain
+        head = f"@ros2_lv/{domain}/{session.zid()}/0"
         where = f"{_NOBODY}/{_mangled(self._messages.namespace)}/{NODE}"
         self._token = session.liveliness().declare_token(f"{head}/0/NN/{where}")
         self._publishers: dict[str, _Publisher] = {}
         for entity, topic in enumerate(self._messages.topics, 1):
             typed = f"{_dds_name(topic.type)}/{STORE.hash_rihs01(topic.type)}"
-            key = f"{machine.zenoh.ros_domain}/{topic.name.strip('/')}/{typed}"
+            key = f"{domain}/{topic.name.strip('/')}/{typed}"
             token = f"{head}/{entity}/MP/{where}/{_mangled(topic.name)}/{typed}/::,{DEPTH}:,:,:,,"
             self._publishers[topic.name] = _Publisher(session, key, token)
 

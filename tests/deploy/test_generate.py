@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from paths import ROOT
 
-from tilth.deploy import codes_page, motion_equations, observation_equations
+from tilth.deploy import codes_page, motion_equations, observation_equations, wire_page
 from tilth.deploy.generate import PROTO, main
 from tilth.deploy.kernel_text import kernel
 
@@ -20,6 +20,7 @@ FILES = {
     "schemas/machine.schema.json",
     motion_equations.TARGET,
     codes_page.TARGET,
+    wire_page.TARGET,
     observation_equations.TARGET,
     "deploy/constraints.txt",
 }

@@ -1,14 +1,19 @@
 """A run becomes a folder, whole or not at all; the examples of the page do what they say."""
 
+import csv
 import json
 import math
 import re
 import shlex
+import shutil
+import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import polars
 import pyarrow.parquet
+import pyarrow.types
 import pytest
 from filled_log import filled_log
 from logs import MACHINE_TEXT
@@ -97,6 +102,71 @@ def test_a_span_and_a_clock(run: Run, tmp_path: Path) -> None:
     assert table["pose__age_s"].to_numpy().max() < 0.038  # the row before 2 s counts
     about = json.loads((tmp_path / "clock" / "export.json").read_text())
     assert about["clock"] == {"period_s": 0.02, "oldest_s": {"pose": 0.5, "status": 3.0}}
+
+
+def test_csv_is_as_plotjuggler_takes_it(run: Run, tmp_path: Path) -> None:
+    """Beside its source: it splits lines before it looks at quotes, takes the delimiter that is there most
+    often in the first, and the kind of a column from its first value."""
+    export(run, ExportPlan("csv", NAMES), tmp_path / "r")
+    for name in NAMES:
+        text = (tmp_path / "r" / f"{name}.csv").read_bytes().decode()
+        head, *lines = text.replace("line\nbreak", "line break").split("\r\n")[:-1]
+        columns = head.split(",")
+        assert columns[0] == "t_s" and len({*columns}) == len(columns) and not re.search(r"[;\t \"]", head)
+        rows = [next(csv.reader([line])) for line in lines]
+        assert {len(row) for row in rows} == {len(columns)}
+        assert all(float(one[0]) <= float(other[0]) for one, other in pairwise(rows))
+        for column, cells in zip(columns, zip(*rows, strict=True), strict=True):
+            assert not [cell for cell in cells if re.fullmatch(r"[-+.\d]+e[-+]?\d+", cell)], column
+
+
+def test_parquet_is_as_plotjuggler_takes_it(run: Run, tmp_path: Path) -> None:
+    """Beside its source: it takes fields for columns, so none may have fields within, and sorts no more than
+    a batch by time."""
+    export(run, ExportPlan("parquet", NAMES), tmp_path / "r")
+    for name in NAMES:
+        table = pyarrow.parquet.read_table(tmp_path / "r" / f"{name}.parquet")
+        kinds = [field.type for field in table.schema]
+        assert not any(pyarrow.types.is_nested(kind) or pyarrow.types.is_dictionary(kind) for kind in kinds)
+        t_s = table["t_s"].to_numpy()
+        assert kinds[0] == pyarrow.float64() and not table["t_s"].null_count and (np.diff(t_s) >= 0.0).all()
+
+
+CHECKED = """
+function s = seconds(x)
+    assert(isa(x, 'double') && iscolumn(x) && all(isfinite(x)));
+    s = x;
+end
+function t = struct2table(s)
+    assert(isscalar(s) && all(structfun(@rows, s) == rows(s.t_s)) && all(structfun(@ndims, s) == 2));
+    assert(all(structfun(@(x) isnumeric(x) || islogical(x), s)));
+    assert(all(cellfun(@(name) length(name) <= 63, fieldnames(s))));
+    t = s;
+end
+function t = table2timetable(t, name, times)
+    assert(strcmp(name, 'RowTimes') && isequal(size(times), [rows(t.t_s) 1]));
+end
+"""
+"""What MATLAB asks of their arguments; Octave has none of the three."""
+
+
+@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no octave-cli: apt-get install octave")
+def test_a_mat_file_is_a_timetable_in_one_line(run: Run, tmp_path: Path) -> None:
+    export(run, ExportPlan("mat", NAMES), tmp_path / "r")
+    page = (ROOT / "docs/export.md").read_text()
+    matlab, octave = (
+        re.findall(rf"^```{tongue}\n(.*)\n```", page, re.M)[0] for tongue in ("matlab", "octave")
+    )
+    script = f"1;{CHECKED}"
+    for name in NAMES:
+        script += matlab.replace("pose.mat", f"{name}.mat") + "\nassert(rows(T.t_s) == 300);\n"
+    script += octave.partition(";")[0] + ";\nassert(isequal(size(S.tractor_yaw_rate_radps), [300 1]));\n"
+    (tmp_path / "r" / "look.m").write_text(script + "printf('%d files\\n', " + f"{len(NAMES)});\n")
+    words = ["octave-cli", "--no-gui", "--norc", "--quiet", "look.m"]
+    ended = subprocess.run(
+        words, cwd=tmp_path / "r", capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ended.returncode == 0 and ended.stdout == f"{len(NAMES)} files\n", ended.stderr
 
 
 def test_runs_of_one_name_get_folders_of_their_own(run: Run, tmp_path: Path) -> None:

@@ -175,6 +175,20 @@ def test_no_text_in_csv_is_a_formula_and_each_can_be_read_back(
     assert [row["text"].removeprefix("'") for row in rows] == texts
 
 
+@given(values=st.lists(st.floats(allow_nan=False), min_size=1, max_size=20))
+def test_numbers_in_csv_are_the_same_and_have_no_exponent(
+    values: list[float], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("csv") / "a.csv"
+    columns = (ExportColumn("x", DOUBLE),)
+    file = CsvFile(path, columns, FACTS)
+    file.write(ExportRows(columns, (np.array(values),), (None,)))
+    file.close()
+    _, *cells = path.read_text(encoding="utf-8").split()
+    assert [float(cell) for cell in cells] == values
+    assert not any("e" in cell for cell in cells)
+
+
 def test_mat_in_scipy(tmp_path: Path) -> None:
     found = loadmat(_written(tmp_path, "mat"), simplify_cells=True)
     wanted = _wanted()

@@ -15,7 +15,7 @@ from contributing import DIFFS, changed
 from logs import MACHINE
 from paths import ROOT, SUPPORT
 
-from tilth.deploy import codes_page
+from tilth.deploy import codes_page, wire_page
 from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.propagation import P_GEOMETRY, set_parameters
 from tilth.estimator.filters.rig_setup import rig_setup
@@ -80,7 +80,7 @@ def changed_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in COPIED:
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
     (tree / "docs").mkdir()
-    for name in ("pyproject.toml", "uv.lock", codes_page.TARGET):
+    for name in ("pyproject.toml", "uv.lock", codes_page.TARGET, wire_page.TARGET):
         shutil.copy(ROOT / name, tree / name)
     for name, text in changed(EXAMPLE).items():
         (tree / name).write_text(text, encoding="utf-8")

@@ -1,8 +1,11 @@
 """What the daemon publishes for ROS 2, by rmw_zenoh's rules; in Rust, as another implementation reads it."""
 
 import math
+import re
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +14,11 @@ from typing import Any
 
 import pytest
 import zenoh
+from field_rig import FieldRig
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from hypothesis import given
 from hypothesis import strategies as st
-from loopback import PATIENCE_S, START_NS, rig, session, udp_bus
+from loopback import PATIENCE_S, START_NS, rig, session, udp_bus, until
 from paths import ROOT
 from posed import pose_of
 from rust_build import in_rust
@@ -38,6 +42,7 @@ from tilth.schemas.flow import (
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.scenario import ORIGIN_DEG
 
 # As ROS 2 Jazzy has them, from the type descriptions of its own packages.
 HASHES = {
@@ -204,6 +209,33 @@ def test_a_replay_has_topics_and_frames_of_its_own(machine: Machine) -> None:
             assert header is None or header.frame_id in ("", *(f"{OWN}/replay/{x}" for x in FRAMES))
 
 
+@pytest.mark.parametrize(("suffix", "domain"), [("", "7"), ("replay", "100")])
+def test_a_replay_is_never_heard_in_the_domain_of_the_tractor(
+    suffix: str, domain: str, machine: Machine
+) -> None:
+    sink = ZenohSink(machine, suffix)
+    sent_ones = [one for topic, data in everything(machine) for one in RosMessages(machine).of(topic, data)]
+    with session(sink.endpoints) as other:
+        keys: SimpleQueue[str] = SimpleQueue()
+        heard = other.declare_subscriber("**", lambda sample: keys.put(str(sample.key_expr)))
+        tokens = [str(reply.ok.key_expr) for reply in other.liveliness().get("@ros2_lv/**") if reply.ok]
+        for topic, data in everything(machine):
+            sink.put(topic, data)
+        of_ros: list[str] = []
+        while len(of_ros) < len(sent_ones):
+            key = keys.get(timeout=PATIENCE_S)
+            of_ros += [key] if "::dds_::" in key else []
+        heard.undeclare()
+    sink.close()
+    assert {key.split("/")[0] for key in of_ros} == {token.split("/")[1] for token in tokens} == {domain}
+    assert all(f"/{OWN}/replay/" in key for key in of_ros) == bool(suffix)
+
+
+def test_replays_have_another_domain_than_the_tractor() -> None:
+    with pytest.raises(ValueError, match="ros_replay_domain must not be ros_domain"):
+        type(DEMO.zenoh)(ros_domain=100)
+
+
 FRAMES = ("map", "odom", "base_link", "implement_link", "tractor_front")
 
 
@@ -247,3 +279,36 @@ def test_another_implementation_of_ros_reads_all_of_it(sink: ZenohSink, machine:
     assert f"fix {OWN}/tractor_front 43.5000000 -83.4000000" in told
     assert f"estimate jd7930-parker500 pem {UTC_NS // 10**9}" in told
     assert told.count("parameter ") == 6 and "parameter C_af 1 200000.0 " in told
+
+
+@pytest.mark.rust
+def test_another_implementation_of_ros_hears_a_daemon_that_hears_a_tractor(tmp_path: Path) -> None:
+    """`tilth run` in a process of its own, the virtual tractor on its bus, and the listener as a third."""
+    listener = in_rust(ROOT / "examples/ros2/listener")
+    tractor = FieldRig(tmp_path, 600.0)
+    tractor.file.write_text(tractor.text.replace("[zenoh]\n", "[zenoh]\nros = true\nros_domain = 7\n"))
+    tractor.start()
+    try:
+        place = ("127.0.0.1", int(tractor.endpoint.rpartition(":")[2]))
+
+        def listens() -> bool:
+            with socket.socket() as probe:
+                return probe.connect_ex(place) == 0
+
+        until(listens, lambda: time.sleep(0.1))
+        words = [str(listener), tractor.endpoint, "7", f"/{OWN}"]
+        heard = subprocess.run(words, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False)
+    finally:
+        tractor.close()
+    assert heard.returncode == 0, heard.stderr
+    nodes = re.findall(r"^node (\S+) (\S+)$", heard.stdout, re.M)
+    assert (f"/{OWN}", "tilth") in nodes and not any("replay" in where for where, _ in nodes)
+    (odometry,) = re.findall(
+        rf"^odometry {OWN}/odom {OWN}/base_link (\S+) (\S+) (\S+) (\S+)$", heard.stdout, re.M
+    )
+    east, north, *turned = map(float, odometry)
+    assert math.hypot(*turned) == pytest.approx(1.0, abs=0.01) and math.hypot(east, north) < 1e4
+    (fix,) = re.findall(rf"^fix {OWN}/tractor_front (\S+) (\S+)$", heard.stdout, re.M)
+    assert [float(degrees) for degrees in fix] == pytest.approx(list(ORIGIN_DEG), abs=0.1)
+    assert f"transform {OWN}/odom {OWN}/implement_link" in heard.stdout
+    assert heard.stdout.count("parameter ") == 6 and "diagnostic 0 " in heard.stdout
