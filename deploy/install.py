@@ -231,7 +231,8 @@ def prepare(box: Box, source: Path) -> Path:
 
 def apply(box: Box, *, start: bool = True) -> None:
     """Let what was prepared run, on trial: the release before looks after it. A power cut in the middle
-    leaves opt/tilth/next, and this is done again. start: else the recorder begins by itself. Raises Failed."""
+    leaves opt/tilth/next, and this is done again. start: else the recorder begins by itself.
+    Raises Failed."""
     release, before = box.release("next"), box.release("current")
     if release is None or before is None:
         raise Failed("nothing is prepared")

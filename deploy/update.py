@@ -1,10 +1,10 @@
 """Updates with nobody present: `python -m tilth.deploy.update`, as root; its units are in system/.
 
-A package (tilth_VERSION_ARCHITECTURE.deb) with its signature beside it (….deb.minisig) is found on a stick or in
-a folder, checked, and prepared beside the release that records. It is applied when nothing is recorded, or before
-the recorder starts; then it is on trial, and taken back where it does not record within a minute or ends three
-times. The program is that of the release before until the new one is kept: /opt/tilth/keeper. What has happened
-stands in /opt/tilth/updates.json, of which the recorder makes events.
+A package (tilth_VERSION_ARCHITECTURE.deb) with its signature beside it (….deb.minisig) is found on a stick or
+in a folder, checked, and prepared beside the release that records. It is applied when nothing is recorded, or
+before the recorder starts; then it is on trial, and taken back where it does not record within a minute or
+ends three times. The program is that of the release before until the new one is kept: /opt/tilth/keeper. What
+has happened stands in /opt/tilth/updates.json, of which the recorder makes events.
 """
 
 import argparse
@@ -79,8 +79,8 @@ class Updates:
 
 
 def look(box: Box, updates: Updates, folder: Path, *, at_once: bool) -> None:
-    """Prepare the package in a folder, or tell why not, once. at_once: else only what has not changed since the
-    last look: it may be being copied."""
+    """Prepare the package in a folder, or tell why not, once. at_once: else only what has not changed since
+    the last look: it may be being copied."""
     packages = [
         path for path in sorted(folder.glob("tilth_*.deb")) if path.is_file() and not path.is_symlink()
     ]
@@ -188,7 +188,7 @@ def keys(box: Box) -> tuple[Keys, set[str]]:
 
 
 def newest_of(box: Box, updates: Updates) -> str:
-    """The newest version that this computer has had: what was taken back or rolled back is not tried again."""
+    """The newest version that this computer has had: what was taken or rolled back is not tried again."""
     current = box.release("current")
     version = "0" if current is None else install.version_of(current)
     return updates.newest if is_newer(updates.newest, version) else version
@@ -244,8 +244,8 @@ def watch(box: Box, updates: Updates) -> None:
 
 
 def service(box: Box) -> tuple[str, int]:
-    """How the recorder is, in systemd's words, and how often it had to be started again; ENDINGS where systemd
-    has given up."""
+    """How the recorder is, in systemd's words, and how often it had to be started again; ENDINGS where
+    systemd has given up."""
     if not box.real:
         return "active", 0
     asked = ["systemctl", "show", install.SERVICE, "--property=ActiveState,NRestarts"]
@@ -323,7 +323,7 @@ def _mounted(device: Path, stack: ExitStack) -> Path:
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
     options = "ro,nosuid,nodev,noexec"
     subprocess.run(["mount", "--options", options, device, folder], check=True)
-    stack.callback(subprocess.run, ["umount", "--lazy", folder], check=False)
+    stack.callback(lambda: subprocess.run(["umount", "--lazy", folder], check=False))
     return folder
 
 

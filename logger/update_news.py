@@ -35,7 +35,7 @@ class UpdateNews:
         report: Report,
         on_disk_thread: Callable[[Callable[[], None]], None],
     ) -> None:
-        """path: of the updater's file. folder: of the logs. on_disk_thread: runs what may wait for the disk."""
+        """path: of the updater's file. folder: of the logs. on_disk_thread: runs what waits for the disk."""
         self._path = path
         self._told = folder / TOLD
         self._report = report

@@ -289,8 +289,8 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     ),
     NoticeCode.UPDATED: "updated from {before} to {version}, which records",
     NoticeCode.UPDATE_READY: (
-        "{file} is installed and waits: {version} runs from the next ignition off or start on. The stick is no "
-        "longer needed"
+        "{file} is installed and waits: {version} runs from the next ignition off or start on. The stick is "
+        "no longer needed"
     ),
     NoticeCode.UPDATE_CRASHED: (
         "the update to {version} was taken back, {before} runs again: it ended {times:.0f} times within its "
@@ -312,11 +312,11 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "no update: {file} is signed by {key}, which was revoked; take a package that is signed anew"
     ),
     NoticeCode.UPDATE_FORGED: (
-        "no update: {file} is not what {key} has signed; copy package and signature anew, from where they come"
+        "no update: {file} is not what {key} has signed; copy package and signature anew from where they come"
     ),
     NoticeCode.UPDATE_OLDER: (
-        "no update: {file} is older than {newest}, which this computer has had; by hand, `tilth-setup upgrade` "
-        "takes it"
+        "no update: {file} is older than {newest}, which this computer has had; by hand, `tilth-setup "
+        "upgrade` takes it"
     ),
     NoticeCode.UPDATE_NO_ROOM: (
         "no update: {file} needs {needed_mb:.0f} MB on the disk, {free_mb:.0f} MB are free; make room"
