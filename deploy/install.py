@@ -5,10 +5,13 @@
 
 Only the standard library of Python 3.11. Each release has an environment of its own, /opt/tilth/releases/<n>;
 /opt/tilth/current says which runs, /opt/tilth/previous where `rollback` goes. Logs, keys and machine file are
-never touched by any of them. See README.md beside this file.
+never touched by any of them. /opt/tilth/next is what update.py has prepared, /opt/tilth/keeper whose program
+looks after updates: the release before, while the current one is on trial. See README.md beside this file.
 """
 
 import argparse
+import contextlib
+import fcntl
 import os
 import pwd
 import shutil
@@ -16,16 +19,22 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 SERVICE = "tilth.service"
+TIMER = "tilth-update.timer"
 # File of deploy/system in the release → its place on the computer.
 PLACES = (
     ("tilth.service", "etc/systemd/system/tilth.service"),
     ("tilth-can@.service", "etc/systemd/system/tilth-can@.service"),
     ("80-tilth-can.rules", "etc/udev/rules.d/80-tilth-can.rules"),
+    ("tilth-update.service", "etc/systemd/system/tilth-update.service"),
+    ("tilth-update.timer", "etc/systemd/system/tilth-update.timer"),
+    ("tilth-update-boot.service", "etc/systemd/system/tilth-update-boot.service"),
+    ("tilth-update@.service", "etc/systemd/system/tilth-update@.service"),
+    ("81-tilth-update.rules", "etc/udev/rules.d/81-tilth-update.rules"),
     ("tilth.sysusers", "etc/sysusers.d/tilth.conf"),
     ("tilth.sysctl", "etc/sysctl.d/60-tilth.conf"),
     ("tilth.timesyncd", "etc/systemd/timesyncd.conf.d/tilth.conf"),
@@ -37,6 +46,7 @@ KERNELS = "var/cache/tilth"  # what numba has compiled; NUMBA_CACHE_DIR and Cach
 MACHINE = "etc/tilth/machine.toml"
 NEXT = "`tilth discover` drafts a machine file, `sudo tilth-setup machine FILE` takes it"
 WHEELS = Path(__file__).resolve().with_name("wheels")  # what the Debian package brings
+PYTHON = Path(sys.base_prefix, "bin", f"python3.{sys.version_info.minor}")  # has pip; a release has none
 NOT_REMOVED = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
 
 
@@ -64,8 +74,11 @@ class Box:
         target = self.releases / path.readlink().name if path.is_symlink() else None
         return target if target is not None and target.is_dir() else None
 
-    def point(self, link: str, release: Path) -> None:
-        """At once: a power cut leaves the old or the new."""
+    def point(self, link: str, release: Path | None) -> None:
+        """At once: a power cut leaves the old or the new. None: nowhere."""
+        if release is None:
+            self.at(f"opt/tilth/{link}").unlink(missing_ok=True)
+            return
         new_link = self.at(f"opt/tilth/.{link}")
         new_link.unlink(missing_ok=True)
         new_link.symlink_to(Path("releases") / release.name)
@@ -85,6 +98,23 @@ class Box:
         return done.returncode == 0
 
 
+@contextlib.contextmanager
+def alone(box: Box, *, wait: bool = False) -> Iterator[None]:
+    """While no other installer or updater works. Raises Failed where one does, unless told to wait."""
+    folder = box.at("opt/tilth")
+    if not folder.is_dir():  # nothing is installed
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        yield
+    except BlockingIOError:
+        raise Failed("another installation or update is under way; try again in a minute") from None
+    finally:
+        os.close(descriptor)
+
+
 def install(box: Box, args: argparse.Namespace) -> None:
     """Install a release from a wheel, and start the service where there is a machine file. Raises Failed."""
     machine = box.at(MACHINE)
@@ -99,7 +129,7 @@ def install(box: Box, args: argparse.Namespace) -> None:
         raise
     if told is None:
         _activate(box, release)
-        print(f"tilth {_version(release)} is installed. The recorder starts once it knows the rig: {NEXT}")
+        print(f"tilth {version_of(release)} is installed. The recorder starts once it knows the rig: {NEXT}")
         return
     _take(box, args, beside)
     _switch(box, release)
@@ -184,9 +214,56 @@ def rollback(box: Box, args: argparse.Namespace) -> None:
     _switch(box, previous)
 
 
+def prepare(box: Box, source: Path) -> Path:
+    """Make the release of a folder of wheels ready, opt/tilth/next; another records. Raises Failed."""
+    release = _new_release(box, source, None)
+    try:
+        if box.at(MACHINE).exists():
+            _check_machine(release, box.at(MACHINE))
+            _compile(box, release)
+    except BaseException:
+        shutil.rmtree(release)
+        raise
+    os.sync()
+    box.point("next", release)
+    return release
+
+
+def apply(box: Box, *, start: bool = True) -> None:
+    """Let what was prepared run, on trial: the release before looks after it. A power cut in the middle
+    leaves opt/tilth/next, and this is done again. start: else the recorder begins by itself.
+    Raises Failed."""
+    release, before = box.release("next"), box.release("current")
+    if release is None or before is None:
+        raise Failed("nothing is prepared")
+    records = box.at(MACHINE).exists()
+    if release != before:
+        if records:  # the file may be another one by now
+            _check_machine(release, box.at(MACHINE))
+        box.point("previous", before)
+        _activate(box, release, keeper=before if records else None)
+    box.point("next", None)
+    if start and records:
+        _start(box)
+    else:
+        box.run("systemctl", "daemon-reload")
+
+
+def take_back(box: Box) -> None:
+    """Let the release before run again, and remove the one on trial. Raises Failed."""
+    release, before = box.release("current"), box.release("keeper")
+    if before is None or release is None or before == release:
+        raise Failed("nothing is on trial")
+    _activate(box, before)
+    box.point("previous", None)
+    _start(box)
+    shutil.rmtree(release)
+
+
 def uninstall(box: Box, args: argparse.Namespace) -> None:
     """Remove all but configuration and logs."""
-    box.run("systemctl", "disable", "--now", SERVICE, fail=False)
+    for unit in (TIMER, "tilth-update-boot.service", SERVICE):
+        box.run("systemctl", "disable", "--now", unit, fail=False)
     for _, place in PLACES:
         box.at(place).unlink(missing_ok=True)
     for place in (SETUP, COMMAND):
@@ -201,7 +278,7 @@ def uninstall(box: Box, args: argparse.Namespace) -> None:
 def status(box: Box, args: argparse.Namespace) -> None:
     for link in ("current", "previous"):
         release = box.release(link)
-        print(f"{link:9} {'none' if release is None else f'{release.name}: tilth {_version(release)}'}")
+        print(f"{link:9} {'none' if release is None else f'{release.name}: tilth {version_of(release)}'}")
     box.run("systemctl", "--no-pager", "status", SERVICE, fail=False)
 
 
@@ -244,11 +321,12 @@ def adapter_rule(properties: dict[str, str], port: str, name: str) -> str:
 def _new_release(box: Box, source: Path, wheels: Path | None) -> Path:
     """An environment with the software of a wheel, a folder of wheels or a checkout. Raises Failed."""
     wheel, offline = _wheel_of(source, wheels)
+    _remove_unused(box)
     used = [int(path.name) for path in box.releases.glob("*") if path.name.isdigit()]
     release = box.releases / str(max(used, default=0) + 1)
     release.mkdir(parents=True)
     pip = [
-        sys.executable,
+        str(PYTHON),
         "-m",
         "pip",
         "--python",
@@ -256,7 +334,7 @@ def _new_release(box: Box, source: Path, wheels: Path | None) -> Path:
         "--disable-pip-version-check",
     ]
     try:
-        _do([sys.executable, "-m", "venv", "--without-pip", str(release)], "apt-get install python3")
+        _do([str(PYTHON), "-m", "venv", "--without-pip", str(release)], "apt-get install python3")
         constraints = _constraints(wheel, release / "constraints.txt")
         flags = [] if offline is None else ["--no-index", "--find-links", str(offline)]
         pip += ["install", "--quiet", "--constraint", str(constraints), *flags, str(wheel)]
@@ -264,7 +342,16 @@ def _new_release(box: Box, source: Path, wheels: Path | None) -> Path:
     except BaseException:
         shutil.rmtree(release)
         raise
+    os.sync()  # before anything points there
     return release
+
+
+def _remove_unused(box: Box) -> None:
+    """Releases that nothing points to: of before, or left by a power cut."""
+    used = [box.release(link) for link in ("current", "previous", "next", "keeper")]
+    for path in box.releases.glob("*"):
+        if path not in used:
+            shutil.rmtree(path)
 
 
 def _wheel_of(source: Path, wheels: Path | None) -> tuple[Path, Path | None]:
@@ -318,7 +405,7 @@ def _check_machine(release: Path, machine: Path) -> None:
     )
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1:] or ["no reason given"]
-        raise Failed(f"tilth {_version(release)} does not take the machine file: {last[0]}")
+        raise Failed(f"tilth {version_of(release)} does not take the machine file: {last[0]}")
 
 
 def _switch(box: Box, release: Path) -> None:
@@ -334,16 +421,17 @@ def _switch(box: Box, release: Path) -> None:
         box.point("previous", older or before)
         _start(box)
         raise Failed(f"{release.name} does not start, {before.name} runs again; see journalctl -u {SERVICE}")
-    for path in box.releases.iterdir():
-        if path not in (release, before):
-            shutil.rmtree(path)
-    print(f"tilth {_version(release)} (release {release.name}) is current")
+    _remove_unused(box)
+    print(f"tilth {version_of(release)} (release {release.name}) is current")
 
 
-def _activate(box: Box, release: Path) -> None:
+def _activate(box: Box, release: Path, keeper: Path | None = None) -> None:
+    """keeper: whose program looks after updates, where it is another one."""
+    box.point("keeper", keeper or release)
     system = next(release.glob("lib/python3*/site-packages/tilth/deploy"))
     for name, place in PLACES:
-        _put(system / "system" / name, box.at(place))
+        if (system / "system" / name).exists():  # a release of before has less
+            _put(system / "system" / name, box.at(place))
     _put(system / "install.py", box.at(SETUP), 0o755)
     command = box.at(COMMAND)
     command.parent.mkdir(parents=True, exist_ok=True)
@@ -362,17 +450,18 @@ def _start(box: Box) -> bool:
     box.run("systemctl", "daemon-reload")
     box.run("udevadm", "control", "--reload", fail=False)
     box.run("udevadm", "trigger", "--action=add", "--subsystem-match=net", fail=False)
-    box.run("systemctl", "enable", "--quiet", SERVICE)
-    _compile(box)
+    box.run("systemctl", "enable", "--quiet", SERVICE, "tilth-update-boot.service")
+    box.run("systemctl", "enable", "--quiet", "--now", TIMER)
+    _compile(box, box.release("current"))
     return box.run("systemctl", "restart", SERVICE, fail=False)
 
 
-def _compile(box: Box) -> None:
-    """What the current release calls, as the recorder's user, while the release before it still records.
+def _compile(box: Box, release: Path | None) -> None:
+    """What a release calls, as the recorder's user, while the release before it still records.
 
     Nothing fails with it: the recorder compiles what it does not find, and estimates later.
     """
-    release, kernels = box.release("current"), box.at(KERNELS)
+    kernels = box.at(KERNELS)
     assert release is not None
     kernels.mkdir(parents=True, exist_ok=True)
     user: dict[str, Any] = {}
@@ -404,12 +493,14 @@ def _put(source: Path, target: Path, mode: int = 0o644) -> None:
 
 
 def _do(words: Sequence[str], remedy: str) -> None:
-    done = subprocess.run(words, check=False)
+    done = subprocess.run(words, check=False, stderr=subprocess.PIPE, text=True)
+    sys.stderr.write(done.stderr)
     if done.returncode:
-        raise Failed(f"{' '.join(words[:4])} … failed: {remedy}")
+        last = done.stderr.strip().splitlines()[-1:] or ["no reason given"]
+        raise Failed(f"{' '.join(words[:3])} … failed: {last[0]}; {remedy}")
 
 
-def _version(release: Path) -> str:
+def version_of(release: Path) -> str:
     """From the name that pip gave its record."""
     found = next(release.glob("lib/python3*/site-packages/tilth-*.dist-info"), None)
     return "?" if found is None else found.name.removeprefix("tilth-").removesuffix(".dist-info")
@@ -453,7 +544,8 @@ def main(words: Sequence[str] | None = None) -> int:
         print("tilth-setup: this takes root: sudo", file=sys.stderr)
         return 2
     try:
-        next(run for name, run, _ in COMMANDS if name == args.command)(box, args)
+        with alone(box):
+            next(run for name, run, _ in COMMANDS if name == args.command)(box, args)
     except Failed as error:
         print(f"tilth-setup: {error}", file=sys.stderr)
         return 1

@@ -47,11 +47,13 @@ def main(words: Sequence[str] | None = None) -> int:
 
 def gather(folder: Path) -> Path:
     """Tilth's wheel from this checkout, and wheels of what it needs in the versions of constraints.txt."""
-    subprocess.run(["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT], check=True)
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": commit_s()}
+    build = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
+    subprocess.run(build, check=True, env=environment)
     (own,) = folder.glob("tilth-*.whl")
     pip: list[str | Path] = ["uv", "tool", "run", "--python", sys.executable, "pip", "wheel", "--quiet"]
     constraints: list[str | Path] = ["--constraint", HERE / "constraints.txt"]
-    subprocess.run([*pip, *constraints, "--wheel-dir", folder, own], check=True)
+    subprocess.run([*pip, *constraints, "--wheel-dir", folder, own], check=True, env=environment)
     (folder / ".gitignore").unlink(missing_ok=True)
     return folder
 
@@ -60,7 +62,7 @@ def debian_package(wheels: Path, tree: Path, out: Path) -> Path:
     """The package of these wheels. Returns where it is. Raises CalledProcessError."""
     (own,) = wheels.glob("tilth-*.whl")
     version = f"{own.name.split('-')[1]}-1"
-    commit_s = _said("git", "-C", str(CHECKOUT), "log", "-1", "--format=%ct")
+    made_s = commit_s()
     architecture = _said("dpkg", "--print-architecture")
     shutil.copytree(wheels, tree / HOME / "wheels")
     _put(tree / HOME / "install.py", (HERE / "install.py").read_bytes(), 0o755)
@@ -68,7 +70,7 @@ def debian_package(wheels: Path, tree: Path, out: Path) -> Path:
     _put(documents / "copyright", (HERE / "debian/copyright").read_bytes())
     changes = (CHECKOUT / "CHANGELOG.md").read_bytes()
     _put(documents / "changelog.gz", gzip.compress(changes, mtime=0))
-    packed = CHANGES.format(version=version, date=email.utils.formatdate(int(commit_s)))
+    packed = CHANGES.format(version=version, date=email.utils.formatdate(int(made_s)))
     _put(documents / "changelog.Debian.gz", gzip.compress(packed.encode(), mtime=0))
     _put(tree / "usr/share/lintian/overrides/tilth", (HERE / "debian/overrides").read_bytes())
     for name in SCRIPTS:
@@ -90,9 +92,14 @@ def debian_package(wheels: Path, tree: Path, out: Path) -> Path:
             path.chmod(0o644)
     made = out / f"tilth_{version}_{architecture}.deb"
     said = ["dpkg-deb", "--root-owner-group", "-Zgzip", "-z1"]  # little: wheels are packed already
-    environment = {**os.environ, "SOURCE_DATE_EPOCH": commit_s}
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": made_s}
     subprocess.run([*said, "--build", tree, made], check=True, stdout=subprocess.DEVNULL, env=environment)
     return made
+
+
+def commit_s() -> str:
+    """When the last commit was made, s since 1970: the times in what is made here."""
+    return _said("git", "-C", str(CHECKOUT), "log", "-1", "--format=%ct")
 
 
 def _said(*words: str) -> str:

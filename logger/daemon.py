@@ -32,6 +32,7 @@ from tilth.logger.run_report import RunReport
 from tilth.logger.run_summary import LoopCounts, RunSummary
 from tilth.logger.status_line import plain_line
 from tilth.logger.supervisor import Supervisor
+from tilth.logger.update_news import UpdateNews, installed
 from tilth.logger.zenoh import place_ahead
 from tilth.logger.zenoh.liveness import Sensors
 from tilth.logger.zenoh.place_ahead import PlaceAhead
@@ -96,6 +97,8 @@ class Daemon:
             addresses=lambda: fold.known_addresses, with_state=warmed, note=note, simulated=simulated,
         )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
+        news = installed() if keep else None
+        self._news = UpdateNews(news, folder, self._report, recording.on_disk_thread)
         run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
         self.parts = RunParts(
             clock, supervisor, estimation, buses, outlets, MarkLog(fold, clock, outlets),
@@ -201,6 +204,7 @@ class Daemon:
         self._next_second_ns = t_ns + SECOND_NS
         parts = self.parts
         self._watch_clock()
+        self._news.turn()
         parts.estimation.start_worker()
         if self._keeping is not None and self._keeping.is_due(t_ns):
             self._keeping.keep(t_ns, parts.outlets.recording)

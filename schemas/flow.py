@@ -442,6 +442,7 @@ class EventKind(StrEnum):
     SOIL_CHANGE = "soil_change"
     STORED_STATE = "stored_state"
     TWIN_NAME = "twin_name"  # two devices have it
+    UPDATE = "update"  # of the software, with nobody present
     WARM_START = "warm_start"
     ZENOH = "zenoh"
 

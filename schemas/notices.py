@@ -114,6 +114,22 @@ class NoticeCode(StrEnum):
     UNFINISHED = "unfinished"
     UNLOCKED = "unlocked"
 
+    # Updates that nobody is present for.
+    UPDATED = "updated"
+    UPDATE_READY = "update_ready"
+    UPDATE_CRASHED = "update_crashed"
+    UPDATE_NOT_RECORDING = "update_not_recording"
+    UPDATE_OTHER_PROCESSOR = "update_other_processor"
+    UPDATE_SEVERAL = "update_several"
+    UPDATE_UNSIGNED = "update_unsigned"
+    UPDATE_UNKNOWN_KEY = "update_unknown_key"
+    UPDATE_REVOKED_KEY = "update_revoked_key"
+    UPDATE_FORGED = "update_forged"
+    UPDATE_OLDER = "update_older"
+    UPDATE_NO_ROOM = "update_no_room"
+    UPDATE_UNREADABLE = "update_unreadable"
+    UPDATE_REFUSED = "update_refused"
+
     # Why a run of an experiment is not done.
     BACKWARDS = "backwards"
     BEYOND_BRAKING = "beyond_braking"

@@ -274,6 +274,48 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "{folder}: dieses Dateisystem kennt keine Sperren; aufgezeichnet wird trotzdem, aber kein anderes Programm "
         "weiß sicher, dass eine Datei geschrieben wird: dort so lange kein `tilth recover` benutzen"
     ),
+    NoticeCode.UPDATED: "von {before} auf {version} aktualisiert; es wird aufgezeichnet",
+    NoticeCode.UPDATE_READY: (
+        "{file} ist installiert und wartet: {version} läuft ab dem nächsten Ausschalten der Zündung oder Start. Der "
+        "Stick wird nicht mehr gebraucht"
+    ),
+    NoticeCode.UPDATE_CRASHED: (
+        "die Aktualisierung auf {version} wurde zurückgenommen, {before} läuft wieder: sie endete {times:.0f}-mal in "
+        "den ersten Minuten; {version} wird nicht noch einmal versucht"
+    ),
+    NoticeCode.UPDATE_NOT_RECORDING: (
+        "die Aktualisierung auf {version} wurde zurückgenommen, {before} läuft wieder: sie hat in {within_s:.0f} s "
+        "nichts aufgezeichnet; {version} wird nicht noch einmal versucht"
+    ),
+    NoticeCode.UPDATE_OTHER_PROCESSOR: (
+        "keine Aktualisierung: {file} ist für andere Prozessoren; dieser Rechner nimmt {here}"
+    ),
+    NoticeCode.UPDATE_SEVERAL: "keine Aktualisierung: mehrere Pakete, {files}; nur eines dort lassen",
+    NoticeCode.UPDATE_UNSIGNED: (
+        "keine Aktualisierung: bei {file} liegt keine Unterschrift, die sich lesen lässt ({signature})"
+    ),
+    NoticeCode.UPDATE_UNKNOWN_KEY: (
+        "keine Aktualisierung: {file} ist von {key} unterschrieben, das dieser Rechner nicht kennt; seine Schlüssel "
+        "sind in {folder}"
+    ),
+    NoticeCode.UPDATE_REVOKED_KEY: (
+        "keine Aktualisierung: {file} ist von {key} unterschrieben, das widerrufen wurde; ein neu unterschriebenes "
+        "Paket nehmen"
+    ),
+    NoticeCode.UPDATE_FORGED: (
+        "keine Aktualisierung: {file} ist nicht, was {key} unterschrieben hat; Paket und Unterschrift neu kopieren, "
+        "von dort, wo sie herkommen"
+    ),
+    NoticeCode.UPDATE_OLDER: (
+        "keine Aktualisierung: {file} ist älter als {newest}, das dieser Rechner schon hatte; von Hand nimmt es "
+        "`tilth-setup upgrade`"
+    ),
+    NoticeCode.UPDATE_NO_ROOM: (
+        "keine Aktualisierung: {file} braucht {needed_mb:.0f} MB auf der Platte, {free_mb:.0f} MB sind frei; Platz "
+        "schaffen"
+    ),
+    NoticeCode.UPDATE_UNREADABLE: "keine Aktualisierung: {file} ließ sich nicht lesen: {why}",
+    NoticeCode.UPDATE_REFUSED: "keine Aktualisierung: {file} ließ sich nicht installieren: {why}",
     NoticeCode.BACKWARDS: "der Traktor fährt rückwärts",
     NoticeCode.BEYOND_BRAKING: "mit {braking:.1f} m/s² gebremst",
     NoticeCode.BEYOND_LATERAL: "{acceleration:.1f} m/s² zur Seite; der Plan erlaubt {limit:g}",

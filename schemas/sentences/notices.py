@@ -287,6 +287,42 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "{folder}: this file system has no locks; it is recorded all the same, but no other program can be "
         "sure that a file is being written: do not use `tilth recover` there meanwhile"
     ),
+    NoticeCode.UPDATED: "updated from {before} to {version}, which records",
+    NoticeCode.UPDATE_READY: (
+        "{file} is installed and waits: {version} runs from the next ignition off or start on. The stick is "
+        "no longer needed"
+    ),
+    NoticeCode.UPDATE_CRASHED: (
+        "the update to {version} was taken back, {before} runs again: it ended {times:.0f} times within its "
+        "first minutes; {version} is not tried again"
+    ),
+    NoticeCode.UPDATE_NOT_RECORDING: (
+        "the update to {version} was taken back, {before} runs again: it recorded nothing within "
+        "{within_s:.0f} s; {version} is not tried again"
+    ),
+    NoticeCode.UPDATE_OTHER_PROCESSOR: (
+        "no update: {file} is for another kind of processor; this computer takes {here}"
+    ),
+    NoticeCode.UPDATE_SEVERAL: "no update: there are several packages, {files}; leave one",
+    NoticeCode.UPDATE_UNSIGNED: "no update: {file} has no signature beside it that can be read ({signature})",
+    NoticeCode.UPDATE_UNKNOWN_KEY: (
+        "no update: {file} is signed by {key}, which this computer does not know; its keys are in {folder}"
+    ),
+    NoticeCode.UPDATE_REVOKED_KEY: (
+        "no update: {file} is signed by {key}, which was revoked; take a package that is signed anew"
+    ),
+    NoticeCode.UPDATE_FORGED: (
+        "no update: {file} is not what {key} has signed; copy package and signature anew from where they come"
+    ),
+    NoticeCode.UPDATE_OLDER: (
+        "no update: {file} is older than {newest}, which this computer has had; by hand, `tilth-setup "
+        "upgrade` takes it"
+    ),
+    NoticeCode.UPDATE_NO_ROOM: (
+        "no update: {file} needs {needed_mb:.0f} MB on the disk, {free_mb:.0f} MB are free; make room"
+    ),
+    NoticeCode.UPDATE_UNREADABLE: "no update: {file} could not be read: {why}",
+    NoticeCode.UPDATE_REFUSED: "no update: {file} could not be installed: {why}",
     NoticeCode.BACKWARDS: "the tractor goes backwards",
     NoticeCode.BEYOND_BRAKING: "braked with {braking:.1f} m/s²",
     NoticeCode.BEYOND_LATERAL: "{acceleration:.1f} m/s² to the side; the plan allows {limit:g}",

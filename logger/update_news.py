@@ -1,0 +1,72 @@
+"""What the updater has to tell (deploy/update.py): it is an event of the run that records then, once.
+
+The updater keeps it in updates.json of the installation, the newest last. What was told is noted beside the
+logs, in .updates.told.
+"""
+
+import json
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from tilth.logger.log import whole_file
+from tilth.schemas.flow import EventKind
+from tilth.schemas.notices import Notice, NoticeCode, Report, in_words, notice
+
+STATE: Final = "updates.json"
+TOLD: Final = ".updates.told"
+
+
+def installed() -> Path | None:
+    """Where this release's updater keeps it; None where this is none, but a checkout."""
+    releases = Path(sys.prefix).parent
+    return releases.with_name(STATE) if releases.name == "releases" else None
+
+
+class UpdateNews:
+    """Looks once a second, at no cost while nothing has changed."""
+
+    def __init__(
+        self,
+        path: Path | None,
+        folder: Path,
+        report: Report,
+        on_disk_thread: Callable[[Callable[[], None]], None],
+    ) -> None:
+        """path: of the updater's file. folder: of the logs. on_disk_thread: runs what waits for the disk."""
+        self._path = path
+        self._told = folder / TOLD
+        self._report = report
+        self._on_disk_thread = on_disk_thread
+        self._seen: tuple[int, int] | None = None  # of the file: its number and when it was changed
+
+    def turn(self) -> None:
+        """Report what has not been told. Nothing that lies there can end a run."""
+        if self._path is None:
+            return
+        try:
+            found = self._path.stat()
+            if (found.st_ino, found.st_mtime_ns) == self._seen:
+                return
+            self._seen = found.st_ino, found.st_mtime_ns
+            entries = json.loads(whole_file.read(self._path))["news"]
+            names = [str(entry["id"]) for entry in entries]
+            told = whole_file.read(self._told).decode() if self._told.exists() else ""
+            fresh = entries[names.index(told) + 1 :] if told in names else entries
+            for entry in fresh:
+                self._report(EventKind.UPDATE, _of(entry))
+            if fresh:
+                self._on_disk_thread(partial(whole_file.write, self._told, names[-1].encode()))
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            self._report(EventKind.UPDATE, notice(NoticeCode.UPDATE_UNREADABLE, file=STATE, why=str(error)))
+
+
+def _of(entry: dict[str, Any]) -> Notice:
+    """In the words of then, where this release does not know the code: it may be the one before."""
+    if entry["code"] not in tuple(NoticeCode):
+        return in_words(str(entry["text"]))
+    return notice(NoticeCode(entry["code"]), **entry["values"])
