@@ -37,7 +37,7 @@ from tilth.schemas.wheel_angle import RUDDER
 PORT = 8117
 CHECK_S: Final = 2.0  # to hear the buses
 LONGEST_CHECK_S: Final = 120.0
-MOST_WHEELS: Final = 5
+MOST_WHEELS: Final = 3
 BEFORE: Final = ".before"
 SETUP: Final = "setup"  # what the live page is told, so that it shows the way there
 
@@ -87,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(first.close)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         with suppress(KeyboardInterrupt):
-            _say_where(*listener.getsockname()[:2], "" if args.label else code)
+            host, port = listener.getsockname()[:2]
+            _say_where(host, port, "" if args.label else code)
             serve(heard, view, listener, inside=Inside(first, entry))
     return 0
 
@@ -101,7 +102,7 @@ def _entry(label: Path | None) -> tuple[EntryCode, str]:
         except OSError as error:
             raise WrongUse(f"--label {label}: {reason_of(error)}; nothing is served without a code") from None
         except ValueError as error:
-            raise WrongUse(f"--label {label}: {error}; it has a line such as code = \"{code}\"") from None
+            raise WrongUse(f'--label {label}: {error}; it has a line such as code = "{code}"') from None
     if not isinstance(code, str):
         raise WrongUse(f'--label {label}: it has no line such as code = "{new_code()}"')
     try:

@@ -4,6 +4,8 @@ A code has 40 bits or more. One try a second from each computer, and a few a sec
 find it by trying: 2^40 of them take more than a thousand years.
 """
 
+import hashlib
+import hmac
 import secrets
 import time
 from collections.abc import Callable
@@ -15,7 +17,7 @@ LONGEST: Final = 64
 EACH_S: Final = 1.0  # between two tries of one computer
 MOST: Final = 20  # tries of all in that time
 ENTERED: Final = "tilth_entered"  # the cookie
-REMEMBERED: Final = 16  # phones; the first one is forgotten for another
+REMEMBERED_S: Final = 30 * 86400  # by the phone
 _ALIKE: Final = str.maketrans("OIL", "011", " -")
 
 
@@ -35,7 +37,7 @@ def new_code() -> str:
 
 
 class EntryCode:
-    """One code, and who has brought it."""
+    """One code."""
 
     def __init__(self, code: str, now_s: Callable[[], float] = time.monotonic) -> None:
         """Raises ValueError for a code that is too short to keep anybody out."""
@@ -43,11 +45,15 @@ class EntryCode:
         if len(self._code) < SHORTEST or not set(as_read(code)) <= set(LETTERS):
             raise ValueError(f"a code has {SHORTEST} letters and digits or more")
         self._tries: dict[str, float] = {}
-        self._entered: list[str] = []
+        # A cookie holds also after a restart, and is worth nothing to who wants to find the code by trying.
+        self._seal = hashlib.scrypt(self._code, salt=b"tilth entry", n=2**14, r=8, p=1)
 
     def knows(self, cookie: str) -> bool:
-        """Whether that is of somebody who was let in."""
-        return any(secrets.compare_digest(cookie.encode(), one.encode()) for one in self._entered)
+        """Whether that is of somebody who has brought this code, to this server or one before it."""
+        return secrets.compare_digest(cookie.encode(), self._sealed(cookie.partition(".")[0]).encode())
+
+    def _sealed(self, drawn: str) -> str:
+        return f"{drawn}.{hmac.new(self._seal, drawn.encode(), hashlib.sha256).hexdigest()}"
 
     def take(self, client: str, text: str) -> str:
         """The cookie for who brings the code; "" for a wrong one. Raises TooSoon."""
@@ -58,6 +64,4 @@ class EntryCode:
         self._tries[client] = now_s
         if not secrets.compare_digest(as_read(text[: 2 * LONGEST]).encode(), self._code):
             return ""
-        cookie = secrets.token_urlsafe(24)
-        self._entered = [*self._entered, cookie][-REMEMBERED:]
-        return cookie
+        return self._sealed(secrets.token_urlsafe(24))

@@ -9,13 +9,14 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from tilth.monitor.entry_code import ENTERED, EntryCode, TooSoon
+from tilth.monitor.entry_code import ENTERED, REMEMBERED_S, EntryCode, TooSoon
 from tilth.schemas.limiter import of_address
 
 ENTER: Final = "/enter"
 SETUP: Final = "/setup"
 ENTRY_POLICY: Final = (
-    "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; "
+    "base-uri 'none'; frame-ancestors 'none'"
 )
 """Of the page that asks for the code, which is all that a stranger sees: it has no script."""
 CODE_BYTES: Final = 256
@@ -72,7 +73,7 @@ def entrance(entry: EntryCode) -> Route:
         if not cookie:
             return entry_page("wrong")
         answer = RedirectResponse("/", 303)
-        answer.set_cookie(ENTERED, cookie, httponly=True, samesite="strict")
+        answer.set_cookie(ENTERED, cookie, REMEMBERED_S, httponly=True, samesite="strict")
         return answer
 
     return Route(ENTER, enter, methods=["POST"])

@@ -8,10 +8,11 @@ from typing import Final
 from tilth.logger.can import can_link
 from tilth.replay.discover import BusSurvey, Findings, listen
 from tilth.schemas.machine import Bus
-from tilth.schemas.notices import NoticeCode
+from tilth.schemas.notices import Notice, NoticeCode
 from tilth.schemas.sentences import notice_sentence
 
 LONGEST_S: Final = 600.0  # a survey holds what it hears
+TROUBLE: Final = (NoticeCode.BUS_FAILED, NoticeCode.BUS_TROUBLE)
 ARPHRD_CAN: Final = "280"  # linux/if_arp.h
 
 
@@ -32,7 +33,7 @@ class BusListening:
         self.buses, self._seconds = buses, seconds
         self._lock = threading.Lock()
         self._survey = BusSurvey()
-        self._problems: dict[NoticeCode, str] = {}
+        self._problems: dict[str, str] = {}
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
 
@@ -59,14 +60,18 @@ class BusListening:
             return self._survey.findings()
 
     def problems(self) -> list[str]:
-        """Of the buses, a sentence each."""
+        """The last of each bus that has one, a sentence."""
         return list(self._problems.values())
+
+    def _note(self, kind: str, told: Notice) -> None:
+        if told.code in TROUBLE:
+            self._problems[str(told.values.get("bus", ""))] = notice_sentence(told)
 
     def _run(self) -> None:
         frames = listen(
             self.buses,
             self._seconds,
-            lambda kind, told: self._problems.update({told.code: notice_sentence(told)}),
+            self._note,
             self._stopping.is_set,
         )
         for frame in frames:

@@ -128,8 +128,8 @@ def machine_text(
 def _bodies(form: _Form) -> dict[str, dict[str, Quantity]]:
     """Of [tractor] and [implement] all that is asked for."""
     names = ("tractor.wheelbase", "tractor.hitch", "implement.drawbar")
-    lengths = TapedLengths(*map(form.positive, names[:1]), form.number(names[1]), form.positive(names[2]))
-    sds = TapedLengths(*(form.chosen(f"{name}.how", TAPED) for name in names))
+    lengths = TapedLengths(form.positive(names[0]), form.number(names[1]), form.positive(names[2]))
+    sds = TapedLengths._make(form.chosen(f"{name}.how", TAPED) for name in names)
     tractor = _weight(form, "tractor.mass", "tractor.front", FRONT_SHARE)
     implement = _weight(form, "implement.mass", "implement.tongue", TONGUE_SHARE)
     found = {section: dict(keys) for section, keys in by_shares(tractor, implement, lengths, sds).items()}
@@ -232,11 +232,11 @@ def _wheel_values(form: _Form, wheel: WheelCandidate) -> dict[str, tuple[str, st
             f"gain = {{ value = 1.0, sd = {STOPS_GAIN_SD} }}\noffset = {offset:.6g}", ""
         )  # fmt: skip
     else:
-        scale, offset = form.number("wheel.scale"), form.optional("wheel.offset")
+        scale = form.number("wheel.scale")
         if not scale:
             form.refuse("wheel.scale", "0: degrees per bit are not zero")
-        if offset is not None:
-            found["zero"] = (f"{{ value = 0.0, sd = 0.5 }}\noffset = {offset:g}", "")
+        if (known := form.optional("wheel.offset")) is not None:
+            found["zero"] = (f"{{ value = 0.0, sd = 0.5 }}\noffset = {known:g}", "")
     return found | {"scale": (f"{scale:.6g}", "")}
 
 

@@ -139,7 +139,11 @@ def _bus(name: str, bus: Bus | None) -> str:
         lines.append("bitrate = 250000")
     else:
         channel = bus.channel if isinstance(bus.channel, int) else toml_text(bus.channel)
-        lines += [f"interface = {toml_text(bus.interface)}", f"channel = {channel}", f"bitrate = {bus.bitrate}"]
+        lines += [
+            f"interface = {toml_text(bus.interface)}",
+            f"channel = {channel}",
+            f"bitrate = {bus.bitrate}",
+        ]
         if bus.options:
             lines.append(
                 f"options = {{ {', '.join(f'{toml_text(k)} = {_toml(v)}' for k, v in bus.options.items())} }}"

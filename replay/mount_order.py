@@ -1,6 +1,7 @@
 """Tells which receiver is ahead of which: by where they are along the way while the rig drives."""
 
 import math
+from itertools import pairwise
 from typing import Final
 
 from tilth.schemas.flow import Message
@@ -54,5 +55,5 @@ class MountOrder:
         """The foremost first; () where they have not driven enough to be told apart."""
         found = sorted(self._ahead, key=self._ahead.__getitem__, reverse=True)
         means = [self._ahead[sender] / max(self._instants, 1) for sender in found]
-        apart = all(one - next_one >= APART for one, next_one in zip(means, means[1:], strict=False))
+        apart = all(one - next_one >= APART for one, next_one in pairwise(means))
         return tuple(found) if self._instants >= FEWEST and apart else ()

@@ -175,13 +175,13 @@ export const GERMAN = {
   "maker not known": "Hersteller unbekannt", "nothing heard yet": "noch nichts gehört",
   "{} frames in {} s: {} devices, {} of them receivers with a position; {} possible wheel angles.": "{} Botschaften in {} s: {} Geräte, davon {} Empfänger mit Position; {} mögliche Lenkwinkel.",
   "{} kbit/s": "{} kbit/s", "{}: how it is known": "{}: woher bekannt", "✔ Saved: {}": "✔ Gespeichert: {}",
-  "by tape, to 2 cm": "Maßband, auf 2 cm", "from a data sheet, to 5 cm": "Datenblatt, auf 5 cm",
-  "roughly, to 15 cm": "ungefähr, auf 15 cm", "on a scale, to 1 %": "gewogen, auf 1 %",
-  "from papers, to 5 %": "Papiere, auf 5 %", "estimated, to 15 %": "geschätzt, auf 15 %", "not used": "nicht benutzt",
+  "by tape: 2 cm": "Maßband: 2 cm", "data sheet: 5 cm": "Datenblatt: 5 cm",
+  "roughly: 15 cm": "ungefähr: 15 cm", "on a scale: 1 %": "gewogen: 1 %",
+  "papers: 5 %": "Papiere: 5 %", "estimated: 15 %": "geschätzt: 15 %", "not used": "nicht benutzt",
   "Mounted": "Montiert", "How it is known": "Woher bekannt", "Maker": "Hersteller",
   "It reports the point on the ground, not the antenna": "Meldet den Punkt am Boden, nicht die Antenne",
   "no, or not known": "nein, oder unbekannt", "yes: terrain compensation is on": "ja: Hangausgleich ist an",
   "Buses": "Busse", "Receivers": "Empfänger", "Lengths": "Längen", "Masses": "Massen", "Wheel": "Lenkung",
-  "Check": "Prüfen", "Set up": "Einrichten",
-  "No connection: this is what was last seen, {} ago.": "Keine Verbindung: so war es zuletzt, vor {}."
+  "Check": "Prüfen", "Set up": "Einrichten", "What is well": "Was in Ordnung ist",
+  "Some have not said their name yet, which they say when they start: switch the ignition off and on. With its name a receiver is known also at another address.": "Einige haben ihren Namen noch nicht genannt, was sie beim Start tun: Zündung aus und wieder ein. Mit Namen wird ein Empfänger auch an einer anderen Adresse erkannt."
 };

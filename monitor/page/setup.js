@@ -11,8 +11,8 @@ const SVG = "http://www.w3.org/2000/svg";
 const MOUNTS = ["tractor_front", "tractor_rear", "implement_front", "implement_rear"];
 const PARTS = [["ahead", "ahead of the rear axle"], ["right", "right of the middle"], ["height", "above the ground"]];
 const HOW = {
-  length: [["tape", "by tape, to 2 cm"], ["sheet", "from a data sheet, to 5 cm"], ["paced", "roughly, to 15 cm"]],
-  mass: [["scale", "on a scale, to 1 %"], ["sheet", "from papers, to 5 %"], ["guess", "estimated, to 15 %"]],
+  length: [["tape", "by tape: 2 cm"], ["sheet", "data sheet: 5 cm"], ["paced", "roughly: 15 cm"]],
+  mass: [["scale", "on a scale: 1 %"], ["sheet", "papers: 5 %"], ["guess", "estimated: 15 %"]],
 };
 const MAKERS = [["", "maker not known"], ["33", "John Deere"], ["98", "Trimble"], ["231", "Topcon"], ["88", "Hemisphere"]];
 const SIGNS = { ok: "✔", note: "•", warning: "⚠", problem: "✘" };
@@ -170,6 +170,7 @@ function showReceivers() {
     if (one.mount && !answers[`${one.who}.mount.chosen`]) keep(`${one.who}.mount`, one.mount);
   }
   const proposed = heard.receivers.some(({ mount }) => mount);
+  byId("nameless").hidden = heard.receivers.every(({ name }) => name);
   byId("proposed").hidden = !proposed;
   byId("not-proposed").hidden = proposed;
   if (whose !== cards) {
@@ -294,18 +295,21 @@ function showWrong(wrong, rare) {
 
 async function check() {
   const told = byId("checking");
-  byId("save").hidden = byId("saved").hidden = byId("file").hidden = true;
+  byId("save").hidden = byId("saved").hidden = byId("file").hidden = byId("passing").hidden = true;
   byId("checks").replaceChildren();
   byId("check").disabled = true;
   put(told, word("Checking: it listens to the buses for some seconds …"));
   try {
     const { wrong, rare = [], checks = [], ok, text = "" } = await ask("/setup/check", sent());
     showWrong(wrong, rare);
-    byId("checks").replaceChildren(...checks.map((one) => {
-      const row = element("li", "", `${SIGNS[one.state]} ${one.what}: ${one.text}`);
-      row.dataset.state = one.state;
-      return row;
-    }));
+    for (const [list, wanted] of [["checks", false], ["passed", true]]) {
+      byId(list).replaceChildren(...checks.filter(({ state }) => (state === "ok") === wanted).map((one) => {
+        const row = element("li", "", `${SIGNS[one.state]} ${one.what}: ${one.text}`);
+        row.dataset.state = one.state;
+        return row;
+      }));
+    }
+    byId("passing").hidden = !byId("passed").children.length;
     put(told, word(wrong.length ? "Something is missing or cannot be:" : ok ? "✔ All is well." : "It can be saved, but something is wrong:"));
     put(byId("text"), text);
     put(byId("save"), word(ok ? "Save" : "Save all the same"));
