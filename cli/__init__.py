@@ -51,6 +51,7 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("simulate", "drive a scenario and write its log, and the truth beside it"),
     ("experiment", "propose a plan of experiments, or prompt a driver through one"),
     ("discover", "listen to a bus and draft a machine file"),
+    ("setup", "make a machine file on a page, by phone"),
     ("calibrate", "find what a drive tells of a rig, and write it into its machine file"),
     ("keys", "say who may hear a machine on a shared network, and who may mark"),
     ("mavlink", "send the parameters to a MAVLink autopilot"),

@@ -8,8 +8,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from tilth.monitor.addresses import is_loopback
+from tilth.monitor.entry_code import ENTERED, EntryCode
 from tilth.monitor.invitation import ASK, COOKIE, KEY, Invitation
 from tilth.monitor.origin import Refusal, refusal
+from tilth.monitor.setup_page import ENTER, SETUP, entry_page
 
 POLICY: Final = (
     "default-src 'none'; manifest-src 'self'; script-src 'self'; style-src 'self'; img-src 'self'; "
@@ -28,9 +30,12 @@ HEADERS: Final = (
 class Guard:
     """Adds the headers to every answer; hears no page of another origin, no computer that is not invited."""
 
-    def __init__(self, app: ASGIApp, invitation: Invitation | None = None) -> None:
-        """invitation: None where all that reach this computer may look."""
-        self._app, self._invitation = app, invitation
+    def __init__(
+        self, app: ASGIApp, invitation: Invitation | None = None, entry: EntryCode | None = None
+    ) -> None:
+        """invitation: None where all that reach this computer may look. entry: where nobody may who has not
+        brought the code."""
+        self._app, self._invitation, self._entry = app, invitation, entry
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def headed(message: Message) -> None:
@@ -46,13 +51,25 @@ class Guard:
             return
         connection = HTTPConnection(scope)
         refused = refusal(connection.headers.getlist("host"), connection.headers.getlist("origin"))
-        answer = self._of_uninvited(connection) if refused is None else _denied(refused)
+        if refused is not None:
+            answer: Response | None = _denied(refused)
+        else:
+            answer = self._of_stranger(connection) or self._of_uninvited(connection)
         if answer is None:
             await self._app(scope, receive, headed)
         elif scope["type"] == "websocket":
             await WebSocket(scope, receive, send).send_denial_response(answer)
         else:
             await answer(scope, receive, headed)
+
+    def _of_stranger(self, connection: HTTPConnection) -> Response | None:
+        """What is answered to who has not brought the code; None for all others, and where it is brought."""
+        path = connection.url.path
+        if self._entry is None or self._entry.knows(connection.cookies.get(ENTERED, "")):
+            return None
+        if connection.scope["type"] == "http" and path in ("/", SETUP):
+            return entry_page()
+        return None if path == ENTER else _denied(Refusal(403, "enter the code first"))
 
     def _of_uninvited(self, connection: HTTPConnection) -> Response | None:
         """What another computer is answered that is not let in, or only now; None for all others."""

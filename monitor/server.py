@@ -14,22 +14,24 @@ import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib import resources
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from tilth.client.received import Refused
 from tilth.monitor.daemon_data import DaemonData, MarkAnswer
+from tilth.monitor.entry_code import EntryCode
 from tilth.monitor.guard import Guard
 from tilth.monitor.invitation import Invitation
 from tilth.monitor.player_page import order_of, places_of, runs_of
+from tilth.monitor.setup_page import SETUP, FirstMachine, answers_of, entrance, heard
 from tilth.monitor.view import Turn
 from tilth.schemas.limiter import Limiter, of_address
 
@@ -40,6 +42,7 @@ VIEWERS: Final = 16  # pages of other computers, and as many of this one
 ASKED: Final = 16  # requests that wait for a daemon, of other computers; they have threads of their own
 EACH: Final = 8  # of either, of one computer
 MARK_BYTES: Final = 1024  # as the daemon allows
+_PAGE: Final = resources.files("tilth.monitor") / "page"
 REPORT_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 """Of a report, which a daemon sends: its own styles and pictures, in an origin of its own, and no script."""
 FILES: Final = (  # path, file below monitor/page, type
@@ -66,9 +69,15 @@ FILES: Final = (  # path, file below monitor/page, type
     ("/traces.js", "traces.js", "text/javascript"),
     ("/icon.svg", "icon.svg", "image/svg+xml"),
     ("/page.webmanifest", "page.webmanifest", "application/manifest+json"),
+    ("/worker.js", "worker.js", "text/javascript"),
     ("/uplot/uPlot.iife.min.js", "uplot/uPlot.iife.min.js", "text/javascript"),
     ("/uplot/uPlot.min.css", "uplot/uPlot.min.css", "text/css"),
     ("/uplot/LICENSE", "uplot/LICENSE", "text/plain"),
+)
+SETUP_FILES: Final = (
+    (SETUP, "setup.html", "text/html"),
+    ("/setup.css", "setup.css", "text/css"),
+    ("/setup.js", "setup.js", "text/javascript"),
 )
 
 
@@ -168,7 +177,16 @@ def _client_of(connection: HTTPConnection) -> str:
     return of_address(connection.client.host if connection.client else "")
 
 
-def application(daemon_data: DaemonData, view: Shown, invitation: Invitation | None = None) -> ASGIApp:
+class Inside(NamedTuple):
+    """What is behind a code: making a machine file, and all else."""
+
+    first: FirstMachine
+    entry: EntryCode
+
+
+def application(
+    daemon_data: DaemonData, view: Shown, invitation: Invitation | None = None, inside: Inside | None = None
+) -> ASGIApp:
     """The page, its live stream, the query for marks and the orders, for any ASGI server."""
     viewers = Viewers(view)
 
@@ -179,11 +197,48 @@ def application(daemon_data: DaemonData, view: Shown, invitation: Invitation | N
         turning.cancel()
 
     asked = PageQuery()
-    folder = resources.files("tilth.monitor") / "page"
-    files = [_file(path, (folder / name).read_bytes(), kind) for path, name, kind in FILES]
+    files = [_file(path, (_PAGE / name).read_bytes(), kind) for path, name, kind in FILES]
     live = WebSocketRoute("/live", viewers.serve)
     routes = [*files, *_orders(daemon_data, asked), *_asked(daemon_data, asked), live]
-    return Guard(Starlette(routes=routes, lifespan=lifespan), invitation)
+    if inside is None:
+        return Guard(Starlette(routes=routes, lifespan=lifespan), invitation)
+    routes = [*_setup(inside, asked), *routes]
+    return Guard(Starlette(routes=routes, lifespan=lifespan), None, inside.entry)
+
+
+def _setup(inside: Inside, asked: "PageQuery") -> list[Route]:
+    """The pages for who has the code; the first of all while there is no machine file."""
+    first = inside.first
+
+    def listen(_: None) -> str:
+        first.listen()
+        return ""
+
+    async def opening(request: Request) -> Response:
+        if first.is_first:
+            return RedirectResponse(SETUP, 303)
+        return Response((_PAGE / "index.html").read_bytes(), media_type="text/html")
+
+    told = {f"{SETUP}/check": first.check, f"{SETUP}/save": first.save}
+    return [
+        Route("/", opening),
+        entrance(inside.entry),
+        heard(first),
+        *(_file(path, (_PAGE / name).read_bytes(), kind) for path, name, kind in SETUP_FILES),
+        *(Route(path, asked.fairly(_answers(ask)), methods=["POST"]) for path, ask in told.items()),
+        Route(f"{SETUP}/listen", asked.fairly(_ordered(lambda sent: None, listen)), methods=["POST"]),
+    ]
+
+
+def _answers(ask: Callable[[dict[str, str]], dict[str, Any]]) -> Answer:
+    async def answer(request: Request) -> Response:
+        try:
+            answers = answers_of(await _json(request, "an answer"))
+        except ValueError as error:
+            return JSONResponse({"wrong": [["", str(error)]]}, 400)
+        return JSONResponse(await run_in_threadpool(ask, answers))
+
+    return answer
 
 
 class PageQuery:
@@ -344,13 +399,17 @@ def _is_fault(record: logging.LogRecord) -> bool:
 
 
 def serve(
-    daemon_data: DaemonData, view: Shown, listener: socket.socket, invitation: Invitation | None = None
+    daemon_data: DaemonData,
+    view: Shown,
+    listener: socket.socket,
+    invitation: Invitation | None = None,
+    inside: Inside | None = None,
 ) -> None:
     """Until SIGINT or SIGTERM: both are how it is meant to end."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     logging.getLogger("uvicorn.error").addFilter(_is_fault)
     config = uvicorn.Config(
-        application(daemon_data, view, invitation),
+        application(daemon_data, view, invitation, inside),
         ws="websockets-sansio",
         ws_max_size=4096,
         ws_per_message_deflate=False,  # the way is short: no core is spent on packing

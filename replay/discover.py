@@ -9,6 +9,7 @@ from typing import Final
 
 from tilth.logger.can.lean_can import import_can
 from tilth.logger.clock import Clock
+from tilth.replay.mount_order import MountOrder
 from tilth.replay.turn_rates import TurnRates
 from tilth.replay.wheel_search import PROPRIETARY, WheelCandidate, candidates, may_hold_it
 from tilth.schemas.can_id import NULL_ADDRESS, split
@@ -72,6 +73,7 @@ class Findings:
     buses: tuple[str, ...]
     sources: tuple[BusDevice, ...]
     wheel_angles: tuple[WheelCandidate, ...]  # the likeliest first
+    front_to_rear: tuple[tuple[str, int], ...] = ()  # bus, address of receivers as they follow each other
 
     @property
     def receivers(self) -> tuple[BusDevice, ...]:
@@ -140,6 +142,7 @@ class BusSurvey:
         self._identifiers: dict[tuple[str, int, bool], _Identifier] = {}
         self._yaw: dict[tuple[str, int], list[tuple[int, float]]] = {}
         self._turn_rates = TurnRates()
+        self._order = MountOrder()
 
     def take(self, frame: Frame) -> None:
         """Take a frame; error frames do not count."""
@@ -168,6 +171,7 @@ class BusSurvey:
                 if source != NULL_ADDRESS
             ),
             tuple(sorted(self._wheel_angles(), key=lambda candidate: candidate.score, reverse=True)),
+            self._order.front_to_rear(),
         )
 
     def _named(self, device: BusDevice) -> BusDevice:
@@ -204,6 +208,7 @@ class BusSurvey:
 
     def _take_message(self, message: Message) -> None:
         self._turn_rates.take(message)
+        self._order.take(message)
         origin = message.origin
         speaker = self._speaker(origin.bus, origin.source)
         if origin.name is not None:

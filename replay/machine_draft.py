@@ -1,6 +1,7 @@
 """Drafts a machine file from a survey of buses: it parses once every line marked FILL IN is filled in."""
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 from tilth.replay.discover import BusDevice, Findings
@@ -96,15 +97,36 @@ def _drawing() -> str:
 
 def _filled(text: str, measured: Measured) -> str:
     """The text with the values of its sections that are known."""
-    section, lines = "", []
+    return filled_in(text, {
+        section: {
+            key: (toml_quantity(found), "by rule of thumb" if key == "yaw_inertia" else "by scale and tape")
+            for key, found in keys.items()
+        }
+        for section, keys in measured.items()
+    })  # fmt: skip
+
+
+def toml_quantity(quantity: Quantity) -> str:
+    return f"{{ value = {quantity.value:.10g}, sd = {quantity.sd:.10g} }}"
+
+
+def filled_in(text: str, values: Mapping[str, Mapping[str, tuple[str, str]]]) -> str:
+    """A draft with the values of some keys: section -> key -> (TOML, how it is known). A key without TOML is
+    left out. Of the second [[receiver]] the section is receiver.1."""
+    section, lines, counts = "", [], Counter[str]()
     for line in text.splitlines():
-        section = line.partition("]")[0][1:] if line.startswith("[") else section
-        key, equals, rest = line.partition(f" = {FILL_IN}")
-        found = measured.get(section, {}).get(key)
-        if equals and found is not None:
-            how = "by rule of thumb" if key == "yaw_inertia" else "by scale and tape"
-            number = f"{{ value = {found.value:.10g}, sd = {found.sd:.10g} }}"
-            line = f"{key} = {number}  #{rest.removeprefix(':')}, {how}"
+        if line.startswith("["):
+            section = line.strip("[").partition("]")[0]
+            counts[section] += 1
+            section += f".{counts[section] - 1}" if line.startswith("[[") else ""
+        key, equals, rest = line.partition(" = ")
+        if equals and (found := values.get(section, {}).get(key)) is not None:
+            toml, how = found
+            if not toml:
+                continue
+            what = rest.partition(f"{FILL_IN}: ")[2]
+            told = ", ".join(part for part in (what, how) if part)
+            line = f"{key} = {toml}" + (f"  # {told}" if told else "")
         lines.append(line)
     return "\n".join(lines) + "\n"
 
@@ -116,11 +138,15 @@ def _bus(name: str, bus: Bus | None) -> str:
         lines.append(f'channel = {FILL_IN}: such as "can0"')
         lines.append("bitrate = 250000")
     else:
-        channel = bus.channel if isinstance(bus.channel, int) else _quoted(bus.channel)
-        lines += [f"interface = {_quoted(bus.interface)}", f"channel = {channel}", f"bitrate = {bus.bitrate}"]
+        channel = bus.channel if isinstance(bus.channel, int) else toml_text(bus.channel)
+        lines += [
+            f"interface = {toml_text(bus.interface)}",
+            f"channel = {channel}",
+            f"bitrate = {bus.bitrate}",
+        ]
         if bus.options:
             lines.append(
-                f"options = {{ {', '.join(f'{_quoted(k)} = {_toml(v)}' for k, v in bus.options.items())} }}"
+                f"options = {{ {', '.join(f'{toml_text(k)} = {_toml(v)}' for k, v in bus.options.items())} }}"
             )
     return "\n".join(lines) + "\n"
 
@@ -128,10 +154,10 @@ def _bus(name: str, bus: Bus | None) -> str:
 def _toml(value: str | int | float | bool) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return _quoted(value) if isinstance(value, str) else repr(value)
+    return toml_text(value) if isinstance(value, str) else repr(value)
 
 
-def _quoted(text: str) -> str:
+def toml_text(text: str) -> str:
     """As a TOML string; JSON escapes what TOML wants escaped, but for the last of the control characters."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 

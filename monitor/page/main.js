@@ -20,6 +20,9 @@ import { capital, clock, duration, firstDrive, flagged, hours, known, OLD_S, PAR
 const LOST_MS = 3000; // the page's server says something each second
 const ANEW_MS = 5000; // then another connection is tried: this one may be dead without a word
 const EVENTS = 100;
+const KEPT = "tilth-last"; // in this browser: what the page showed last, and when
+const KEEP_MS = 5000;
+const LONGEST_KEPT_MS = 24 * 3600 * 1000;
 const QUIET_EVENTS = new Set(["heartbeat"]);
 const SIGNS = { soft: "▽", firm: "▲", "as usual": "●", "between soft and usual": "◒", "between usual and firm": "◓", "known roughly": "○", withdrawn: "✘" };
 const TECHNICAL = new Set(["addresses", "bus", "clock", "coarse_stamps", "compiled", "disagreement", "fit", "other_clock", "other_time", "positions_repeated", "positions_slow", "stored_state", "warm_start", "zenoh"]);
@@ -76,6 +79,7 @@ function take(message) {
   if (said.pose) showPose(said.pose);
   if (said.experiment) experiment.show(heard.experiment, live("experiment"));
   if (said.calibration) showCalibration();
+  byId("setup").hidden = !heard.setup;
   if (whole || said.status || said.player || said.report || said.over || said.first_drive) show(); // else soon enough by the clock
 }
 
@@ -295,6 +299,8 @@ function again(event) {
   connected = false;
   gaveWay = event?.code === GIVEN_WAY;
   show();
+  // A server that was started anew may want the code again, and says so to whoever opens the page.
+  if (event) fetch("/page.webmanifest", { cache: "no-store" }).then(({ status }) => status === 403 && location.reload(), () => {});
   if (gaveWay) { // it does not push out another one before somebody looks at it
     addEventListener("pointerdown", connect, { once: true });
     return;
@@ -310,6 +316,23 @@ function watch() {
     stream.close();
     again();
   } else show();
+}
+
+// A page that is opened while the network is away shows what it showed last, as old as that is.
+function keepLast() {
+  if (!reached()) return;
+  try {
+    localStorage.setItem(KEPT, JSON.stringify({ at: Date.now() - (performance.now() - heardAt), state: heard }));
+  } catch { /* a browser that keeps nothing, or has no room */ }
+}
+
+function showLast() {
+  try {
+    const { at, state } = JSON.parse(localStorage.getItem(KEPT)), ago = Date.now() - at;
+    if (!(ago >= 0 && ago < LONGEST_KEPT_MS)) return;
+    take({ whole: { ...state, waiting: false } });
+    heardAt = performance.now() - ago;
+  } catch { /* nothing was kept, or by another release */ }
 }
 
 function prepareTheme() {
@@ -352,5 +375,9 @@ new ResizeObserver(([{ target }]) => {
 prepareMarks();
 prepareTheme();
 setInterval(watch, 500);
+setInterval(keepLast, KEEP_MS);
+addEventListener("pagehide", keepLast);
+navigator.serviceWorker?.register("/worker.js").catch(() => {}); // only over https, and on the computer itself
+showLast();
 connect();
 show();

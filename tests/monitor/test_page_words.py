@@ -35,11 +35,12 @@ class _Said(HTMLParser):
         self.texts.update(value for name, value in attrs if value and name in ("aria-label", "title"))
 
 
-def test_the_page_itself() -> None:
+@pytest.mark.parametrize(("name", "least"), [("index.html", 80), ("setup.html", 50)])
+def test_the_page_itself(name: str, least: int) -> None:
     said = _Said()
-    said.feed((PAGE / "index.html").read_text(encoding="utf-8"))
-    assert len(said.texts) > 80
-    assert said.texts <= set(german())
+    said.feed((PAGE / name).read_text(encoding="utf-8"))
+    assert len(said.texts) > least
+    assert said.texts <= set(german()), said.texts - set(german())
 
 
 @pytest.mark.parametrize("name", [name for name in SCRIPTS if name not in ("german.js", "language.js")])
