@@ -32,8 +32,8 @@ from tilth.estimator.results.flag_events import flag_events
 from tilth.estimator.results.method_state import SixState, take_events
 from tilth.estimator.results.recommend import OFFERED, beside_better, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
-from tilth.estimator.state import Driven
 from tilth.estimator.state import State as State
+from tilth.estimator.state import WaitingPose
 from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.channels import TOPIC_OF
@@ -348,7 +348,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         state.waiting.clear()
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
-    state.waiting.append(Driven(pose, segment, diagnosis.is_judged(state.aligner, pose)))
+    state.waiting.append(WaitingPose(pose, segment, diagnosis.is_judged(state.aligner, pose)))
     if not state.ready:
         del state.waiting[: -FOLD.poses_waiting]
         return
@@ -357,7 +357,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
             _estimate(state, t_ns, state.waiting.pop(0), out)
 
 
-def _estimate(state: State, t_ns: int, driven: Driven, out: list[Publication]) -> None:
+def _estimate(state: State, t_ns: int, driven: WaitingPose, out: list[Publication]) -> None:
     """Give one pose to the estimators. What they estimate is published as soon as none is waiting."""
     pose, segment, evidence = driven.pose, driven.segment, None
     if driven.judged:

@@ -27,7 +27,7 @@ class ScaleWord:
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class WaitingPose:
     """What the estimators take of one pose."""
 
     pose: Pose
@@ -58,7 +58,9 @@ class State:
     measurements: int = 0
     poses: int = 0
     ready: bool = True  # whether the estimators run; poses and record do not wait for kernels to be compiled
-    waiting: list[Driven] = field(default_factory=list)  # what the estimators have not taken yet, in order
+    waiting: list[WaitingPose] = field(
+        default_factory=list
+    )  # what the estimators have not taken yet, in order
     clock_steps: int = 0
     not_numbers: int = 0  # measurements refused because a value is not finite
     time: LogTime = field(default_factory=LogTime)  # of the log

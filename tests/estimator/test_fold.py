@@ -13,7 +13,7 @@ from tilth.estimator.methods import estimators
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.snapshot import restore, snapshot
-from tilth.estimator.state import Driven
+from tilth.estimator.state import WaitingPose
 from tilth.estimator.state_json import to_json_data
 from tilth.schemas.channels import CHANNEL, payload
 from tilth.schemas.flow import (
@@ -270,7 +270,7 @@ def test_of_what_is_driven_before_they_are_ready_the_end_is_kept() -> None:
     state = initial(MACHINE)
     state.ready = False
     first = poses(whole()[1])[0]
-    state.waiting = [Driven(first, None, judged=True)] * FOLD.poses_waiting
+    state.waiting = [WaitingPose(first, None, judged=True)] * FOLD.poses_waiting
     for frame in frames(3.0):
         step(state, frame)
     assert state.poses > 5 and state.waiting[-1].pose != first
