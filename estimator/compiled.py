@@ -5,7 +5,7 @@ A kernel is an ordinary function of floats, tuples and arrays. It may call other
 schemas by their bare names; they are compiled with it. So an equation is written once, for compiled and for
 interpreted code. numba is imported at the first call of a kernel: a program that calls none does not wait for
 the import. Compiled code is stored on disk. Its name holds a digest of all that is compiled into it
-(kernel_digest.py). A kernel that reads a value which cannot be digested is refused at its first call.
+(kernel_digest.py).
 
 Other threads run while a kernel does: the fold of a replay beside a fit.
 
@@ -87,11 +87,11 @@ class Kernel(KernelFunction, Generic[P, R]):
     def _compile(self, args: tuple[Any, ...]) -> Callable[P, R]:
         """The function compiled for arguments of these types, else interpreted.
 
-        The code is stored on disk if a folder for it can be written. Raises NotDigestible, also where numba
-        is absent, so that a mistake in a kernel shows on every computer.
+        The code is stored on disk if a folder for it can be written. Raises TypeError of `check_arguments`,
+        also where numba is absent, so that a mistake in a kernel shows on every computer.
         """
         known = kernel_digest.readings(self.function)
-        kernel_digest.check_arguments(self.function, known, args)
+        kernel_digest.check_arguments(self.function, known.values(), args)
         try:
             import numba
             import numpy

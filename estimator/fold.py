@@ -33,6 +33,7 @@ from tilth.estimator.results.method_state import SixState, take_events
 from tilth.estimator.results.recommend import OFFERED, beside_better, disagreement, recommend
 from tilth.estimator.results.recommend import RECOMMENDED as RECOMMENDED
 from tilth.estimator.state import State as State
+from tilth.estimator.state import WaitingPose
 from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.channels import TOPIC_OF
@@ -65,6 +66,8 @@ class FoldTuning:
         20, "poses", "between two drawings, 4 s: viewers that come late soon have them"
     )
     poses_per_place: int = tuned(5, "poses", "between two looks at the map of the field, 1 s")
+    poses_waiting: int = tuned(450, "poses", "of driving, 90 s, that are kept until the estimators are ready")
+    poses_at_once: int = tuned(30, "poses", "taken with each new one then: within 3 s they have caught up")
 
 
 FOLD: Final = FoldTuning()
@@ -339,13 +342,25 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     for kind, told in aligner.news(state.aligner):
         _publish_event(state, t_ns, kind, told, out)
     _apply(state, of_sensors, t_ns, out)
-    _apply(state, diagnosis.look_at_places(state.diagnosis, state.aligner, pose, t_ns), t_ns, out)
+    of_places = diagnosis.look_at_places(state.diagnosis, state.aligner, pose, t_ns)
+    _apply(state, of_places, t_ns, out)
+    if of_sensors.reset or of_places.reset:
+        state.waiting.clear()
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
+    state.waiting.append(WaitingPose(pose, segment, diagnosis.is_judged(state.aligner, pose)))
     if not state.ready:
+        del state.waiting[: -FOLD.poses_waiting]
         return
-    evidence = None
-    if diagnosis.is_judged(state.aligner, pose):
+    for _ in range(min(len(state.waiting), FOLD.poses_at_once)):
+        if state.waiting:  # else one of them began anew
+            _estimate(state, t_ns, state.waiting.pop(0), out)
+
+
+def _estimate(state: State, t_ns: int, driven: WaitingPose, out: list[Publication]) -> None:
+    """Give one pose to the estimators. What they estimate is published as soon as none is waiting."""
+    pose, segment, evidence = driven.pose, driven.segment, None
+    if driven.judged:
         believing = state.estimators[tracker.METHOD]
         evidence = open_tracker.observe(state.open, state.machine, segment, believing)
     of_file = diagnosis.look_at_file(state.diagnosis, state.aligner, pose, evidence)
@@ -366,7 +381,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         if estimate is not None:
             estimates.append(estimate)
         _publish_events(state, t_ns, row, out)
-    if estimates:
+    if estimates and not state.waiting:
         _publish_estimates(state, t_ns, estimates, out)
 
 
@@ -395,7 +410,7 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
     aligner.use(state.aligner, machine)
-    record_builder.clock_stepped(state.record)  # poses and wheel angles so far have the value before
+    _record_anew(state)  # poses and wheel angles so far have the value before
     state.previous_run = {}
     _apply(state, directive, t_ns, out)
     _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(machine, accepted), out)
@@ -414,7 +429,7 @@ def carry_load(state: State, carried: Carried) -> list[Publication]:
 def _other_load(state: State, t_ns: int, out: list[Publication]) -> None:
     """The rig is another one: poses and wheel angles so far are of the CG before."""
     aligner.use(state.aligner, state.machine)
-    record_builder.clock_stepped(state.record)
+    _record_anew(state)
     state.previous_run = {}  # which was with the load before
     if state.diagnosis.confirmed:
         _apply(state, diagnosis.soil_changed(state.diagnosis), t_ns, out)
@@ -502,6 +517,12 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     return out
 
 
+def _record_anew(state: State) -> None:
+    """What follows does not go on from what was driven so far."""
+    record_builder.clock_stepped(state.record)
+    state.waiting.clear()
+
+
 def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) -> None:
     """The log's clock stepped back: stored measurements have wrong instants. What was learned of the soil
     stays. Also where the log's first stamps were wrong."""
@@ -512,7 +533,7 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     late.clock_stepped()
     _apply(state, diagnosis.clock_stepped(state.diagnosis), t_ns, out)
     state.recognition = recognition.restart(state.recognition)
-    record_builder.clock_stepped(state.record)
+    _record_anew(state)
     open_tracker.clock_stepped(state.open)
     state.place = None
     state.previous_run_ns += by_ns

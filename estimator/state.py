@@ -13,7 +13,7 @@ from tilth.estimator.record.record_builder import RecordState
 from tilth.estimator.state_json import NOT_STORED
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.decode import Decoder
-from tilth.schemas.flow import Accepted, Carried, Estimate, Flag
+from tilth.schemas.flow import Accepted, Carried, Estimate, Flag, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.rejections import Rejection
 
@@ -24,6 +24,15 @@ class ScaleWord:
 
     t_ns: int
     mass: float  # kg, of what the implement carries
+
+
+@dataclass(frozen=True, slots=True)
+class WaitingPose:
+    """What the estimators take of one pose."""
+
+    pose: Pose
+    segment: Segment | None  # of the record, that it completed
+    judged: bool  # whether what is found then is found of the machine file
 
 
 @dataclass(slots=True)
@@ -48,7 +57,10 @@ class State:
     frames: int = 0
     measurements: int = 0
     poses: int = 0
-    ready: bool = True  # whether the estimators run; poses do not wait for kernels to be compiled
+    ready: bool = True  # whether the estimators run; poses and record do not wait for kernels to be compiled
+    waiting: list[WaitingPose] = field(
+        default_factory=list
+    )  # what the estimators have not taken yet, in order
     clock_steps: int = 0
     not_numbers: int = 0  # measurements refused because a value is not finite
     time: LogTime = field(default_factory=LogTime)  # of the log

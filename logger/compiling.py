@@ -12,10 +12,9 @@ import os
 import stat
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import FunctionType
 from typing import Any, Final, NamedTuple
 
 from tilth.estimator.compiled import Kernel
@@ -79,44 +78,55 @@ def interpreted(machine: Machine) -> str:
 def load(machine: Machine) -> bool:
     """Take what was kept on disk; False as soon as something would have to be compiled."""
 
-    def stop(code: CodeType) -> None:
+    def stop(done: KernelsDone) -> None:
         raise CompilingStopped
 
     try:
-        _call(machine, stop, lambda code: None)
+        prepare(machine, stop)
     except CompilingStopped:
         return False
     return True
 
 
-def prepare(machine: Machine, progress: Progress) -> float:
-    """Take what was kept on disk, compile the rest. Returns the seconds of compiling, 0.0 where all was kept.
+def prepare(machine: Machine, progress: Progress) -> None:
+    """Take what was kept on disk, compile the rest.
 
     progress: gets a share of 0.0 when the first kernel has to be compiled, more after each function; may
     raise CompilingStopped.
     """
-    began: list[float] = []
-    uncompiled: set[FunctionType] = set()  # the second kernel to call one finds it kept
-    work, functions = 0.0, 0
+    if not _compiles():
+        return
+    from numba.core import event
 
-    def begins(code: CodeType) -> None:
-        nonlocal work, functions
-        if not began:
-            began.append(time.monotonic())
-            uncompiled.update(_functions_of(machine))
-            work, functions = _work(uncompiled), len(uncompiled)
-            progress(KernelsDone(0, functions, 0.0))
+    class Compilations(event.Listener):
+        """numba's; loading from disk is none."""
 
-    def ended(code: CodeType) -> None:
-        found = next((one for one in uncompiled if one.__code__ is code), None)
-        if found is not None:  # not one of numba's own, nor one for other types
-            uncompiled.remove(found)
-            uncompiled.intersection_update(_functions_of(machine))  # without those of kernels found on disk
-            share = min(1.0 - _work(uncompiled) / work, MOST)
-            progress(KernelsDone(functions - len(uncompiled), functions, share))
+        uncompiled: set[FunctionType] | None = None  # the second kernel to call one finds it kept
+        work, functions = 0.0, 0
 
-    _call(machine, begins, ended)
-    return time.monotonic() - began[0] if began else 0.0
+        def on_start(self, event: Any) -> None:
+            if self.uncompiled is None:
+                self.uncompiled = _functions_of(machine)
+                self.work, self.functions = _work(self.uncompiled), len(self.uncompiled)
+                progress(KernelsDone(0, self.functions, 0.0))
+
+        def on_end(self, event: Any) -> None:
+            code, waiting = event.data["dispatcher"].py_func.__code__, self.uncompiled or set()
+            ended = next((one for one in waiting if one.__code__ is code), None)
+            if ended is None:
+                return  # one of numba's own, or one for other types
+            # Without those of kernels that were found on disk.
+            self.uncompiled = (waiting - {ended}) & _functions_of(machine)
+            share = min(1.0 - _work(self.uncompiled) / self.work, MOST)
+            progress(KernelsDone(self.functions - len(self.uncompiled), self.functions, share))
+
+    listener = Compilations()
+    event.register("numba:compile", listener)
+    try:
+        for row in rows_for(machine):
+            row.prepare(machine)
+    finally:
+        event.unregister("numba:compile", listener)
 
 
 def _functions_of(machine: Machine) -> set[FunctionType]:
@@ -128,30 +138,6 @@ def _functions_of(machine: Machine) -> set[FunctionType]:
 def _work(functions: set[FunctionType]) -> float:
     """About how long they take to compile, as SECONDS."""
     return sum(SECONDS.get(function.__name__, OTHERS_S) for function in functions)
-
-
-def _call(machine: Machine, on_start: Callable[[CodeType], None], on_end: Callable[[CodeType], None]) -> None:
-    """Call each kernel once. on_start, on_end: called when compiling a function begins and ends."""
-    if not _compiles():
-        return
-    from numba.core import event
-
-    class Compilations(event.Listener):
-        """numba's; loading from disk is none."""
-
-        def on_start(self, event: Any) -> None:
-            on_start(event.data["dispatcher"].py_func.__code__)
-
-        def on_end(self, event: Any) -> None:
-            on_end(event.data["dispatcher"].py_func.__code__)
-
-    listener = Compilations()
-    event.register("numba:compile", listener)
-    try:
-        for row in rows_for(machine):
-            row.prepare(machine)
-    finally:
-        event.unregister("numba:compile", listener)
 
 
 def _compiles() -> bool:

@@ -215,7 +215,7 @@ class Daemon:
         parts.supervisor.status(plain_line(self._status, parts.estimation.fold.estimates[RECOMMENDED]))
 
     def _log_ready(self, text: str) -> None:
-        """Whether the estimators take the frames that follow; text: what they wait for."""
+        """Whether the estimators run with what follows; text: what they wait for."""
         ready = Ready(self.parts.clock.t_ns(), self.parts.estimation.fold.ready, text)
         self.parts.outlets.recording.message(READY_TOPIC, ready.t_ns, CHANNEL[READY_TOPIC].encode(ready))
 

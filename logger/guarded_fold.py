@@ -131,7 +131,7 @@ class GuardedFold:
 
     @property
     def ready(self) -> bool:
-        """Whether the estimators take the next frame. The caller logs a change before making it."""
+        """Whether the estimators run with the next frame. The caller logs a change before making it."""
         return self.state.ready
 
     @ready.setter

@@ -505,7 +505,7 @@ class Carried:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """Whether the estimators take the frames that follow in the log."""
+    """Whether the estimators run from here on in the log; what was driven before waits for them."""
 
     t_ns: int
     ready: bool

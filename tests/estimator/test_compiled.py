@@ -11,7 +11,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from types import FunctionType, SimpleNamespace
 from typing import Any, NamedTuple
@@ -22,7 +21,6 @@ import pytest
 from tilth.estimator import kernel_digest
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.filters import predictor, row_filter, tracker_kernel
-from tilth.estimator.kernel_digest import NotDigestible
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.generated import rolling_kernels
 
@@ -196,42 +194,11 @@ class Wrong(NamedTuple):
     first: float
 
 
-@dataclass
-class Record:
-    first: float = 1.0
-
-
-REFUSED: tuple[tuple[str, dict[str, Any], str], ...] = (
-    ("return x * A[0]", {"A": [1.0]}, "reads A, which is list"),
-    ("return x * A['k']", {"A": {"k": 1.0}}, "reads A, which is dict"),
-    ("return x * A[0][0]", {"A": ([1.0],)}, "reads A, which is list"),
-    ("return x * A[0]", {"A": np.array([None])}, "reads A, which is ndarray"),
-    ("return x * A.first", {"A": Record()}, "reads A, which is Record"),
-    ("return x * A.first", {"A": Record}, "reads A, a class that is neither an enum nor a NamedTuple"),
-    ("return x * A.first", {"A": SimpleNamespace(first=1.0)}, "reads A, which is SimpleNamespace"),
-    ("return x * os.environ", {"os": os}, "reads os.environ, which is _Environ"),
-    ("m = math\n    return x * m.pi", {"math": math}, "reads math, a module, without naming at once"),
-    ("return x * getattr(math, 'pi')", {"math": math}, "reads math, a module, without naming at once"),
-    ("return x * math.pie", {"math": math}, "reads math.pie, which is not there"),
-    ("return x * LATER", {}, "reads LATER, which is not there"),
-    ("return [y * A[0] for y in (x, x)][0]", {"A": [1.0]}, "reads A, which is list"),
-    ("return n.slip_rate(x, x, x, x)", {"n": nonlinear}, "n.slip_rate, which must be imported by its bare"),
-    ("return dumps(x)", {"dumps": json.dumps}, "reads dumps, which is function"),
-)
-
-
-@pytest.mark.parametrize(("body", "scope", "results"), REFUSED)
-@pytest.mark.parametrize("numba", [True, False], ids=["numba", "without"])
-def test_what_the_digest_cannot_hold_is_refused_at_the_first_call(
-    body: str, scope: dict[str, Any], results: str, numba: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not numba:
-        monkeypatch.setitem(sys.modules, "numba", None)  # an import of it fails
-    fresh: Kernel[Any, Any] = Kernel(_function(f"def f(x):\n    {body}", **scope))
-    for _ in range(2):
-        with pytest.raises(NotDigestible, match="the kernel f of typed_in reads") as error:
-            fresh(1.0)
-        assert results in str(error.value)
+def test_a_value_without_a_text_of_its_own_is_taken_for_no_other() -> None:
+    """Its kernel is compiled anew by each process, which numba may refuse anyway."""
+    source = "def f(x):\n    return x * A.first"
+    one, other = (_function(source, A=SimpleNamespace(first=object())) for _ in range(2))
+    assert digest(one) == digest(one) != digest(other)
 
 
 def test_variables_of_the_function_around_it_are_refused_at_once() -> None:
@@ -240,19 +207,16 @@ def test_variables_of_the_function_around_it_are_refused_at_once() -> None:
     def scaled(x: float) -> float:
         return factor * x
 
-    with pytest.raises(NotDigestible, match="uses factor of the function around it"):
+    with pytest.raises(TypeError, match="uses factor of the function around it"):
         Kernel(scaled)
 
 
 def test_a_named_tuple_that_no_annotation_names_is_refused() -> None:
     unnamed: Kernel[Any, Any] = Kernel(_function("def f(x):\n    return x.first"))
-    with pytest.raises(NotDigestible, match="is given Wrong, which its annotations do not name"):
+    with pytest.raises(TypeError, match="is given Wrong: name it in an annotation"):
         unnamed(Wrong(1.0))
     named: Kernel[Any, Any] = Kernel(_function("def f(x: Wrong):\n    return x.first", Wrong=Wrong))
     assert named(Wrong(1.0)) == 1.0
-    lost: Kernel[Any, Any] = Kernel(_function("def f(x: 'Lost'):\n    return x.first"))
-    with pytest.raises(NotDigestible, match="reads annotations of f, of which name 'Lost' is not defined"):
-        lost(Wrong(1.0))
 
 
 def digest(function: Callable[..., Any], versions: str = "") -> str:
@@ -260,14 +224,9 @@ def digest(function: Callable[..., Any], versions: str = "") -> str:
     return kernel_digest.digest(function, kernel_digest.readings(function), versions)
 
 
-def test_the_digest_follows_what_other_packages_hold_and_which_versions_they_have(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_digest_follows_the_versions_of_other_packages() -> None:
     function = _function("def f(x):\n    return math.sin(np.pi * x) + np.linalg.norm(x)", math=math, np=np)
-    before = digest(function)
-    assert digest(function) == before != digest(function, "of a year later")
-    monkeypatch.setattr(np, "pi", 3.0)
-    assert digest(function) != before
+    assert digest(function) == digest(function) != digest(function, "of a year later")
 
 
 def test_the_digest_follows_a_constant_three_calls_down(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,13 +8,16 @@ import pytest
 from circle import demo_machine
 
 from tilth.estimator import fold
-from tilth.estimator.fold import State, initial, step
+from tilth.estimator.fold import FOLD, State, accept, initial, step
 from tilth.estimator.methods import estimators
 from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.snapshot import restore, snapshot
+from tilth.estimator.state import WaitingPose
+from tilth.estimator.state_json import to_json_data
 from tilth.schemas.channels import CHANNEL, payload
 from tilth.schemas.flow import (
+    Accepted,
     Estimate,
     Event,
     Flag,
@@ -241,3 +244,36 @@ def test_another_estimator_is_one_row(
     firsts = [p.value for p in out if p.topic == f"/soil_tire/{first.method}"]  # of both rows
     assert len(firsts) >= len(recommended) > 0
     assert snapshot(restore(MACHINE, snapshot(state))) == snapshot(state)
+
+
+def test_estimators_that_are_ready_late_take_what_was_driven_before() -> None:
+    """Within three seconds they have learned the same as if they had been ready from the first frame."""
+    begin_ns = frames()[0].t_ns + 24_000_000_000
+    before = [frame for frame in frames() if frame.t_ns < begin_ns]
+    state = initial(MACHINE)
+    state.ready = False
+    published = [publication for frame in before for publication in step(state, frame)]
+    assert not any(isinstance(one.value, Estimate) for one in published)
+    state = restore(MACHINE, snapshot(state))  # as at the beginning of a file
+    assert len(state.waiting) > 100
+    state.ready = True
+    published = [publication for frame in frames()[len(before) :] for publication in step(state, frame)]
+    assert not state.waiting
+    told = [one for one in published if one.topic == "/soil_tire"]
+    assert told[0].t_ns - begin_ns < 3_000_000_000
+    for method, learned in whole()[0].estimators.items():
+        assert to_json_data(state.estimators[method]) == to_json_data(learned), method
+    assert payload(told[-1]) == payload([one for one in whole()[1] if one.topic == "/soil_tire"][-1])
+
+
+def test_of_what_is_driven_before_they_are_ready_the_end_is_kept() -> None:
+    state = initial(MACHINE)
+    state.ready = False
+    first = poses(whole()[1])[0]
+    state.waiting = [WaitingPose(first, None, judged=True)] * FOLD.poses_waiting
+    for frame in frames(3.0):
+        step(state, frame)
+    assert state.poses > 5 and state.waiting[-1].pose != first
+    assert len(state.waiting) == FOLD.poses_waiting
+    accept(state, Accepted(state.latest_ns, "wheel_angle", (0.01,), (0.001,)))  # another rig from here on
+    assert not state.waiting

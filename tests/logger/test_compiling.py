@@ -10,12 +10,14 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from logs import MACHINE
 from loopback import PATIENCE_S, machine_text, records_of
 from mcap.reader import make_reader
+from numba.core import event
 from paths import ROOT, SUPPORT
 
 from tilth.cli import main
@@ -95,7 +97,7 @@ def test_what_a_drive_calls_was_prepared() -> None:
 
 
 def test_poses_need_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They follow from the first frame on; the estimators see nothing until they are ready."""
+    """They follow from the first frame on, and wait for the estimators."""
 
     def never(kernel: Kernel[..., Any], *args: object) -> object:
         raise AssertionError("a kernel was called")
@@ -105,7 +107,7 @@ def test_poses_need_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     fold.ready = False
     result = {p.topic for frame in simulate(MACHINE, 3, 12.0) for p, _ in fold.take(frame)}
     fold.renew()
-    assert fold.faults == 0 and fold.poses > 50 and not fold.ready
+    assert fold.faults == 0 and len(fold.state.waiting) == fold.poses > 50 and not fold.ready
     assert "/pose" in result and not any(topic.startswith("/soil_tire") for topic in result)
 
 
@@ -115,16 +117,16 @@ def test_the_share_of_the_compiling_grows_with_what_is_done(monkeypatch: pytest.
     kernels = [Kernel(one.function) for one in compiling.kernels_of(MACHINE)]
     assert sum(len(kernel.functions()) > 5 for kernel in kernels) >= 2  # large ones, whose shares overlap
 
-    def call(machine: Machine, on_start: Callable[[Any], None], on_end: Callable[[Any], None]) -> None:
+    def compile_all(machine: Machine) -> None:
         for kernel in kernels:
-            on_start(kernel.function.__code__)
-            for function in reversed(kernel.functions()):
-                on_end(function.__code__)
-            on_end(call.__code__)  # one of numba's own
+            event.start_event("numba:compile", data={"dispatcher": None})
+            for function in (*reversed(kernel.functions()), compile_all):  # the last is one of numba's own
+                dispatcher = SimpleNamespace(py_func=function)
+                event.end_event("numba:compile", data={"dispatcher": dispatcher})
 
-    monkeypatch.setattr(compiling, "kernels_of", lambda machine: kernels)
-    monkeypatch.setattr(compiling, "_call", call)
-    assert compiling.prepare(MACHINE, told.append) > 0.0
+    rows = [SimpleNamespace(prepare=compile_all, kernels=kernels)]
+    monkeypatch.setattr(compiling, "rows_for", lambda machine: rows)
+    compiling.prepare(MACHINE, told.append)
     shares = [done.share for done in told]
     assert shares[0] == 0.0 and shares == sorted(shares) and shares[-1] == compiling.MOST
     assert 0.2 < shares[len(shares) // 2] < 0.9  # the motion's slopes, most of the work, come early
