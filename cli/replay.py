@@ -205,6 +205,7 @@ def _as_json(summary: ReplaySummary, comparison: Comparison | None) -> dict[str,
             "unverifiable": comparison.unverifiable,
             "to_the_byte": comparison.to_the_byte,
             "ties": comparison.ties,
+            "turned": comparison.turned,
             "recorded_elsewhere": comparison.elsewhere or None,
             "largest": None if comparison.largest is None else comparison.largest._asdict(),
         }
@@ -267,10 +268,14 @@ def _compared(comparison: Comparison) -> str:
 
 
 def _ties(comparison: Comparison) -> str:
-    if not comparison.ties:
-        return ""
-    what = "1 fit ends" if comparison.ties == 1 else f"{comparison.ties} fits end"
-    return f"; {what} elsewhere here, as near the maximum, and the logged result was used"
+    told = ""
+    if comparison.ties:
+        what = "1 fit ends" if comparison.ties == 1 else f"{comparison.ties} fits end"
+        told = f"; {what} elsewhere here, as near the maximum, and the logged result was used"
+    if comparison.turned:
+        what = "1 decision is" if comparison.turned == 1 else f"{comparison.turned} decisions are"
+        told += f"; {what} as logged that rounding would turn here"
+    return told
 
 
 def _largest(comparison: Comparison) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from tilth.estimator import implement_load, warm_start
+from tilth.estimator import implement_load, ties, warm_start
 from tilth.estimator.diagnosis import diagnosis
 from tilth.estimator.diagnosis.accepted import acceptance, corrected
 from tilth.estimator.diagnosis.directive import Directive
@@ -36,7 +36,7 @@ from tilth.estimator.state import State as State
 from tilth.estimator.state import WaitingPose
 from tilth.estimator.tuning import tuned
 from tilth.estimator.warm_start import SavedPosterior
-from tilth.schemas.channels import TOPIC_OF
+from tilth.schemas.channels import TIE_TOPIC, TOPIC_OF
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import (
     Accepted,
@@ -251,8 +251,10 @@ def use(state: State, frame: Frame) -> list[Publication]:
         _publish_news(state, book.news, out)
     due_ns = state.aligner.due_ns
     if due_ns and (position_taken or now_ns >= due_ns + aligner.ALIGNMENT.deadline_ns):
+        ties.begin(frame.t_ns)
         for pose in poses(state.aligner, now_ns):
             _publish_pose(state, frame.t_ns, pose, out)
+        _publish_ties(frame.t_ns, out)
     return out
 
 
@@ -385,6 +387,11 @@ def _estimate(state: State, t_ns: int, driven: WaitingPose, out: list[Publicatio
         _publish_estimates(state, t_ns, estimates, out)
 
 
+def _publish_ties(t_ns: int, out: list[Publication]) -> None:
+    """What another kind of processor may have decided otherwise since `ties.begin`."""
+    out += (Publication(t_ns, TIE_TOPIC, tie) for tie in ties.found())
+
+
 def _publish_drawing(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> None:
     """For viewers: the frames of both bodies at this pose and, each `poses_per_drawing`-th, their shapes."""
     frames = body_frames(state.machine, pose)
@@ -491,6 +498,7 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     row, out = ROW[method], list[Publication]()
     if row.fitting is None:
         return out
+    ties.begin(t_ns)
     method_state = state.estimators[method]
     foreseen, learners = False, []
     if made is not None and method_state.job is not None:
@@ -514,6 +522,7 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
     if state.machine is not machine:
         estimate = row.estimate(state.estimators[row.method], state.machine, t_ns)
     _publish_estimates(state, t_ns, [estimate], out)
+    _publish_ties(t_ns, out)
     return out
 
 

@@ -57,6 +57,7 @@ class Comparison:
         self.elsewhere = ""  # what there was other where logs were recorded; "": nothing
         self.to_the_byte = 0  # of those compared
         self.ties = 0  # fits whose logged result was used, since the one here is as good
+        self.turned = 0  # decisions of the log that were used though rounding turns them here
         self.largest: FieldDifference | None = None  # of those within their tolerance, beside that tolerance
         self._exact = True
         self._on_track = True
@@ -65,11 +66,12 @@ class Comparison:
         self._live: dict[str, deque[_Row]] = {topic: deque() for topic in COMPARED}
         self._again: dict[str, deque[_Row]] = {topic: deque() for topic in COMPARED}
 
-    def recorded_by(self, software: Mapping[str, str]) -> None:
-        """What follows was computed by this (metadata "tilth" of its log)."""
+    def recorded_by(self, software: Mapping[str, str]) -> bool:
+        """What follows was computed by this (metadata "tilth" of its log). Whether that is elsewhere."""
         other = computed_elsewhere(software)
         self._exact = not other
         self.elsewhere = self.elsewhere or other
+        return bool(other)
 
     def logged(self, row: Logged) -> None:
         """Take a result that was logged live."""

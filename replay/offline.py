@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from tilth.estimator import ties
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.pose import log_time, receiver_checks
 from tilth.estimator.pose.log_time import LogTime
@@ -27,12 +28,14 @@ from tilth.schemas.channels import (
     FIT_TOPIC,
     LOAD_TOPIC,
     READY_TOPIC,
+    TIE_TOPIC,
     decode_addresses,
     decode_carried,
     decode_outcome,
+    decode_tie,
     payload,
 )
-from tilth.schemas.flow import Accepted, Estimate, Event, EventKind, Frame, Origin, Pose, Publication
+from tilth.schemas.flow import Accepted, Estimate, Event, EventKind, Frame, Origin, Pose, Publication, Tie
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.proto import tilth_pb2 as pb
@@ -174,6 +177,7 @@ class _Run:
         self.fitter = ReplayedFits(machine, lambda kind, told: say(notice_sentence(told)))
         out = self._outputs
         self._encoded = bool(out.writer or out.publish or out.comparison)
+        self._ties = ties.use()
         self._fold = self._new_fold()
         self._before = _counts(self._fold)
         self._unknown_before = self._unknown_now()
@@ -189,8 +193,10 @@ class _Run:
         try:
             by = metadata(log).get("tilth", {})
             self.fitter.recorded_by(by, verified=comparison is not None)
+            verified_elsewhere = False
             if comparison is not None:
-                comparison.recorded_by(by)
+                verified_elsewhere = comparison.recorded_by(by)
+            self._ties = ties.use(_ties(path) if verified_elsewhere else ())
             self._follow(log)
             self._records(log, buses)
         finally:
@@ -450,11 +456,19 @@ class _Run:
         if self._outputs.comparison is not None:
             self._outputs.comparison.finish(log.truncated)
             self._outputs.comparison.ties = self.fitter.ties
+            self._outputs.comparison.turned += self._ties.turned
         if not self._fold.ready:
             self._say(f"{log.path}: it ends before the estimators were ready; nothing is estimated, as live")
         self.summary.truncated = self.summary.truncated or log.truncated
         for text in log.lacks():
             self._say(f"{log.path}: {text}")
+
+
+def _ties(path: Path) -> list[Tie]:
+    """The decisions that were logged as ties."""
+    log = open_log(path, {TIE_TOPIC})
+    with log.file:
+        return [decode_tie(record.data) for record in log.records if isinstance(record, Logged)]
 
 
 def _counts(fold: GuardedFold) -> Counter[tuple[str, str]]:

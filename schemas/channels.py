@@ -186,6 +186,18 @@ def decode_outcome(data: bytes) -> flow.FitOutcome:
     )
 
 
+def _encode_tie(tie: flow.Tie) -> bytes:
+    return pb.Tie(
+        t_ns=tie.t_ns, statistic=tie.statistic, threshold=tie.threshold, above=tie.above
+    ).SerializeToString()
+
+
+def decode_tie(data: bytes) -> flow.Tie:
+    """As logged. Raises protobuf's DecodeError."""
+    one = pb.Tie.FromString(data)
+    return flow.Tie(one.t_ns, one.statistic, one.threshold, one.above)
+
+
 def _encode_ready(ready: flow.Ready) -> bytes:
     return pb.Ready(t_ns=ready.t_ns, ready=ready.ready, text=ready.text).SerializeToString()
 
@@ -294,6 +306,7 @@ KINDS: tuple[tuple[str, type[flow.Measurement]], ...] = (
 TOPIC_OF: dict[type[flow.Measurement], str] = {kind: f"/measurement/{name}" for name, kind in KINDS}
 
 FIT_TOPIC = "/fit"
+TIE_TOPIC = "/tie"
 READY_TOPIC = "/ready"
 ACCEPTED_TOPIC = "/accepted"
 ADDRESSES_TOPIC = "/addresses"
@@ -316,6 +329,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("/soil_tire/place", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/place"),
     Channel("/soil_tire/pem_two_step", pb.SoilTireEstimate, _encode_estimate, key="soil_tire/pem_two_step"),
     Channel(FIT_TOPIC, pb.FitOutcome, _encode_outcome),
+    Channel(TIE_TOPIC, pb.Tie, _encode_tie, identical=False),  # elsewhere others lie so near
     Channel(READY_TOPIC, pb.Ready, _encode_ready, identical=False),
     Channel(ACCEPTED_TOPIC, pb.Accepted, _encode_accepted, identical=False),
     Channel(LOAD_TOPIC, pb.Carried, lambda load: carried_message(load).SerializeToString(), identical=False),

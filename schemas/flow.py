@@ -474,6 +474,16 @@ class FitOutcome:
 
 
 @dataclass(frozen=True, slots=True)
+class Tie:
+    """A decision that another kind of processor may take otherwise (estimator/ties.py)."""
+
+    t_ns: int  # of the frame with which it was taken
+    statistic: float
+    threshold: float
+    above: bool  # as it was taken: the statistic is above the threshold
+
+
+@dataclass(frozen=True, slots=True)
 class Accepted:
     """A value that the watch has found and the operator accepted; used from the next frame on."""
 
@@ -512,7 +522,7 @@ class Ready:
     text: str  # what they wait for, or what has happened
 
 
-Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome | Ready | Accepted
+Payload = Measurement | Pose | BodyFrames | Drawing | Estimate | Event | FitOutcome | Tie | Ready | Accepted
 
 
 @dataclass(frozen=True, slots=True)

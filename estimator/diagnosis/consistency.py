@@ -24,6 +24,7 @@ from tilth.estimator.pose.receiver_checks import ReceiverChecks
 from tilth.estimator.pose.wheel_check import WheelCheck
 from tilth.estimator.rig.lifecycle import FaultCase, Persistence
 from tilth.estimator.rig.numbers import NUMBER
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis
 from tilth.schemas.flow import Estimate, Flag, FlagKind, ParameterEstimate, Pose, Status
@@ -285,15 +286,14 @@ def _agreeing(state: Consistency) -> Misfit | None:
 
 
 def _is_near(misfit: Misfit, share: float) -> bool:
-    return bool(
-        float(misfit.by_name.max()) < share * CONSISTENCY.begins
-        and misfit.total < share * CONSISTENCY.begins_total
+    return exceeds(share * CONSISTENCY.begins, float(misfit.by_name.max())) and exceeds(
+        share * CONSISTENCY.begins_total, misfit.total
     )
 
 
 def _rejected(evidence: OpenEvidence) -> list[Diagnosis]:
     """Whether many of the recent measurements are outliers of the open tracker."""
-    if evidence.rejected < CONSISTENCY.outlier_share:
+    if exceeds(CONSISTENCY.outlier_share, evidence.rejected):
         return []
     return [Diagnosis(Code.MOST_REJECTED, "receiver", amounts=(evidence.rejected,))]
 

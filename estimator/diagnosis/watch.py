@@ -30,6 +30,7 @@ from tilth.estimator.diagnosis.wheel_speed import WheelSpeedState
 from tilth.estimator.driving import DRIVING
 from tilth.estimator.pose.aligner import ALIGNMENT, Aligner
 from tilth.estimator.rig.numbers import HYPOTHESIS, WHEEL_SPEED
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import WITHOUT_RTK, Accepted, Mount, Pose
@@ -183,7 +184,7 @@ def _look(state: WatchState, machine: Machine) -> list[Diagnosis]:
         explanations = judge(machine, *posterior(before), now)
         if best is None or explanations[0].log_ratio > best[1][0].log_ratio:
             best = (since, explanations)
-    if best is None or best[1][0].log_ratio < threshold() or not _matters(best[1][0]):
+    if best is None or exceeds(threshold(), best[1][0].log_ratio) or not _matters(best[1][0]):
         return told
     return told + _found(state, machine, *best)
 
@@ -216,7 +217,7 @@ def _is_back(machine: Machine, moved: Moved, now: InformationForm) -> bool:
     here = next(explanation for explanation in explanations if explanation.name == moved.names[0])
     apart = here.amounts - moved.amounts
     log_ratio = apart @ np.linalg.solve(here.covariance + moved.covariance, apart) / 2.0
-    return float(log_ratio) > threshold() and not _matters(here)
+    return exceeds(float(log_ratio), threshold()) and not _matters(here)
 
 
 def carried(machine: Machine, moved: Moved) -> Moved:
@@ -239,13 +240,13 @@ def _set(moved: Moved, explanation: Explanation) -> None:
 def _names(explanations: list[Explanation]) -> list[str]:
     """What explains it about as well as the best does."""
     least = explanations[0].log_ratio + math.log(WATCH.rival)
-    return [v.name for v in explanations if v.log_ratio > least and not HYPOTHESIS[v.name].absorbed]
+    return [v.name for v in explanations if exceeds(v.log_ratio, least) and not HYPOTHESIS[v.name].absorbed]
 
 
 def _like_another(explanations: list[Explanation]) -> bool:
     """Whether something that is no latency explains it nearly as well as the latency that does best."""
     others = [v.log_ratio for v in explanations if not HYPOTHESIS[v.name].absorbed]
-    return max(others) > WATCH.nearly * explanations[0].log_ratio
+    return exceeds(max(others), WATCH.nearly * explanations[0].log_ratio)
 
 
 def _found(
@@ -276,7 +277,7 @@ def _found(
 
 
 def _matters(explanation: Explanation) -> bool:
-    return float(np.linalg.norm(explanation.amounts)) > HYPOTHESIS[explanation.name].least
+    return exceeds(float(np.linalg.norm(explanation.amounts)), HYPOTHESIS[explanation.name].least)
 
 
 def _absorb(

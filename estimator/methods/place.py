@@ -35,11 +35,13 @@ from tilth.estimator.results.recommend import PATCHY
 from tilth.estimator.results.reporting import REPORTING, six_parameter_estimate
 from tilth.estimator.rig.geometry import wrap
 from tilth.estimator.state_json import NOT_STORED, Shape
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, EventKind, Pose, SoilPlace
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice
 from tilth.schemas.reasons import Code
+from tilth.schemas.tolerances import MADE
 
 Array = NDArray[np.float64]
 
@@ -113,7 +115,7 @@ def take(state: PlaceState, machine: Machine, pose: Pose, segment: Any) -> Estim
     if axles is not None:
         _move_origin(state, (pose.origin_latitude_deg, pose.origin_longitude_deg))
         state.axles = axles
-        if abs(wrap((pose.tractor.heading or 0.0) - state.heading)) > PLACE.turned:
+        if exceeds(abs(wrap((pose.tractor.heading or 0.0) - state.heading)), PLACE.turned, MADE):
             state.passing, state.heading = state.passing + 1, pose.tractor.heading or 0.0
         if not state.track or pose.t_ns - state.track[-1].t_ns >= PLACE.track_ns:
             state.track.append(TrackPoint(pose.t_ns, axles, worked(state, machine, axles)))
@@ -244,8 +246,8 @@ def learn(state: PlaceState, job: Any, made: Any) -> bool:
     window = replace(window, epoch=kept[-1].epoch if kept else 0)
     after = SoilMemory([*kept, window], state.prior_sd)
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
-    foreseen = bool(kept) and likely > PLACE.doubted and _expects_change(state, kept, window)
-    if likely < PLACE.unexpected:
+    foreseen = bool(kept) and exceeds(likely, PLACE.doubted) and _expects_change(state, kept, window)
+    if exceeds(PLACE.unexpected, likely):
         if not of_pem:  # else it is told by pem
             state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
         after = SoilMemory([*kept, replace(window, epoch=window.epoch + 1)], state.prior_sd)
@@ -261,7 +263,7 @@ def _expects_change(state: PlaceState, kept: Sequence[SoilWindow], window: SoilW
     """Whether soil on its way is known, or is known to differ from place to place."""
     soil = _between_windows(kept, state.prior_sd)
     there = soil.at(window.path, AskedGround(window.begin_ns, window.worked))
-    return soil.patchy > PLACE.patchy or _common_sd(there) < PLACE.known_sd
+    return exceeds(soil.patchy, PLACE.patchy) or exceeds(PLACE.known_sd, _common_sd(there))
 
 
 def expects(state: PlaceState, logs: Array) -> bool:
@@ -272,7 +274,7 @@ def expects(state: PlaceState, logs: Array) -> bool:
     there = _between_windows(state.windows, state.prior_sd).at(state.axles, _asked(state))
     off = float(np.mean((logs[SIX] - state.prior_mean[SIX] - there.mean)[:AXLES]))
     sd = _common_sd(there)
-    return sd < PLACE.known_sd and abs(off) < 2.0 * math.hypot(sd, PLACE.known_sd)
+    return exceeds(PLACE.known_sd, sd) and exceeds(2.0 * math.hypot(sd, PLACE.known_sd), abs(off))
 
 
 def _between_windows(windows: Sequence[SoilWindow], prior_sd: Vector) -> SoilMemory:

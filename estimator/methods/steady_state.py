@@ -54,6 +54,7 @@ from tilth.estimator.results.reporting import (
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
@@ -204,8 +205,8 @@ def _drift(state: SteadyState, seconds: float, pose: Pose) -> None:
 def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     """One update. Returns whether stiffness was learned: not in straight driving, nor from an outlier."""
     zero = float(state.x[AT["wheel_zero"]])
-    informative = abs(sample.wheel_angle - zero) > STEADY_STATE.least_angle
-    if largest_slip(sample, zero, machine) > STEADY_STATE.largest_slip:
+    informative = exceeds(abs(sample.wheel_angle - zero), STEADY_STATE.least_angle)
+    if exceeds(largest_slip(sample, zero, machine), STEADY_STATE.largest_slip):
         return _refuse(state, Code.SLIP_BEYOND_MODEL)
     try:
         off, H, noise = _innovation(state, machine, sample, informative)
@@ -227,9 +228,9 @@ def _update(state: SteadyState, machine: Machine, sample: SteadySample) -> bool:
     state.mean_nis += (
         min(distance / len(rows), STEADY_STATE.largest_nis) - state.mean_nis
     ) / STEADY_STATE.nis_memory
-    if state.mean_nis > STEADY_STATE.nis_limit:
+    if exceeds(state.mean_nis, STEADY_STATE.nis_limit):
         _reset_stiffness(state)
-    if distance > STEADY_STATE.gate[len(rows)]:
+    if exceeds(distance, STEADY_STATE.gate[len(rows)]):
         return _refuse(state, Code.OUTLIER)
     state.x, state.P = kalman_update(state.x, state.P, innovation, H, noise)
     _find_posterior(state)
@@ -400,7 +401,8 @@ def _update_supported(state: SteadyState) -> None:
     for k, was_supported in enumerate(state.supported):
         limit = REPORTING.withdrawn if was_supported else ADVICE.supported
         rank, _ = identifiability(state, limit)
-        state.supported[k] = rank == 3 and math.sqrt(state.log_covariance[k, k]) <= limit * state.prior_sd[k]
+        sd = math.sqrt(state.log_covariance[k, k])
+        state.supported[k] = rank == 3 and not exceeds(sd, limit * float(state.prior_sd[k]))
 
 
 def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:

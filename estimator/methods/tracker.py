@@ -51,12 +51,14 @@ from tilth.estimator.results.method_state import SixState, is_due, step_clock
 from tilth.estimator.results.recommend import LEANS, SINCE_CHANGE
 from tilth.estimator.results.reporting import REPORTING, age_s, six_parameter_estimate, stale_reason
 from tilth.estimator.state_json import Shape
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, notice
 from tilth.schemas.plausible import GRAVITY
 from tilth.schemas.reasons import Code
+from tilth.schemas.tolerances import MADE
 
 Array = NDArray[np.float64]
 MotionVector = Annotated[Array, Shape((N_STATES,))]
@@ -301,7 +303,7 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
     _note_held(state, float(record.ticks[:, WHEEL_ANGLE].mean()))
     if state.segments_since_start <= TRACKER.settles:
         _refuse(state, Code.FILTER_SETTLING)
-    elif state.steering < TRACKER.steering**2:
+    elif exceeds(TRACKER.steering**2, state.steering):
         _refuse(state, Code.TOO_LITTLE_STEERING)
     elif state.held > TRACKER.longest_held and not state.by_steering:  # all that moves the rig is the ground
         _refuse(state, Code.HELD)
@@ -310,7 +312,7 @@ def _check_learnable(state: TrackerState, record: Record) -> bool:
 
 def _note_held(state: TrackerState, wheel: float) -> None:
     """wheel: mean reading of a segment, rad. After a restart of x the same circle goes on."""
-    if abs(wheel - state.held_at) > TRACKER.held_within:
+    if exceeds(abs(wheel - state.held_at), TRACKER.held_within, MADE):
         state.held_at, state.held = wheel, 0
     state.held += 1
 
@@ -367,7 +369,7 @@ def _articulation(record: Record) -> float:
 def is_tight(state: TrackerState, record: Record) -> bool:
     """Whether a segment is of a sharp turn: wheels or articulation beyond FIT_COVARIANCE.tight."""
     wheel = np.abs(record.ticks[:, WHEEL_ANGLE] - state.mean[AT["wheel_zero"]])
-    return max(float(wheel.max()), _articulation(record)) > fit_covariance.FIT_COVARIANCE.tight
+    return exceeds(max(float(wheel.max()), _articulation(record)), fit_covariance.FIT_COVARIANCE.tight)
 
 
 def _is_sound(state: TrackerState) -> bool:
@@ -417,12 +419,13 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
 def _detect_soil_change(state: TrackerState, machine: Machine) -> None:
     """If the soil has changed since a checkpoint, reset what was learned of it; else add a checkpoint."""
     change = soil_change.likeliest_change(state.checkpoints, state.mean[SIX], state.covariance[SIX, SIX])
-    if change is not None and change.ratio > soil_change.limit(math.sqrt(state.disturbance[3])):
+    if change is not None and exceeds(change.ratio, soil_change.limit(math.sqrt(state.disturbance[3]))):
         odds = _odds_of_load(state, machine, change.since)
-        if odds > -SOIL_CHANGE.sure:
+        of_load = exceeds(odds, -SOIL_CHANGE.sure)
+        if of_load:
             _load_changed(state, odds)
-        if odds < SOIL_CHANGE.sure:
-            _forget_soil(state, change.logs, told=odds <= -SOIL_CHANGE.sure)
+        if exceeds(SOIL_CHANGE.sure, odds):
+            _forget_soil(state, change.logs, told=not of_load)
         return
     state.segments_since_checkpoint += 1
     if state.segments_since_checkpoint >= soil_change.SOIL_CHANGE.checkpoint_segments:
@@ -441,7 +444,7 @@ def _odds_of_load(state: TrackerState, machine: Machine, since: Checkpoint) -> f
 
 def _load_changed(state: TrackerState, odds: float) -> None:
     """The fold opens up what all methods have learned of the implement."""
-    code = NoticeCode.LOAD_CHANGED if odds > SOIL_CHANGE.sure else NoticeCode.LOAD_OR_SOIL
+    code = NoticeCode.LOAD_CHANGED if exceeds(odds, SOIL_CHANGE.sure) else NoticeCode.LOAD_OR_SOIL
     state.events.append((EventKind.LOAD, notice(code)))
     state.running = False
     state.checkpoints.clear()

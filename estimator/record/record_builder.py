@@ -20,10 +20,12 @@ from tilth.estimator.pose.roll_pitch import roll_pitch_at
 from tilth.estimator.record.measured_rows import Knot, Row, UsedSamples, rows_between
 from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment
 from tilth.estimator.rig.geometry import wrap
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, Flag, FlagKind, Pose
 from tilth.schemas.machine import Machine
 from tilth.schemas.reasons import Code
+from tilth.schemas.tolerances import MADE
 
 TICKS = ALIGNMENT.pose_ns // TICK_NS  # of a segment
 
@@ -139,7 +141,7 @@ def _refusal(start: Knot, end: Knot, after: Knot, record: Record) -> Code | None
     """Why nothing may be learned from this segment."""
     # The flags of the next pose show a fix that was lost in between, and positions that are doubtful.
     reason = start.reason or end.reason or after.reason
-    if not reason and float(np.abs(record.ticks[:, 0]).max()) > RECORD.largest_wheel_angle:
+    if not reason and exceeds(float(np.abs(record.ticks[:, 0]).max()), RECORD.largest_wheel_angle, MADE):
         return Code.BEYOND_WHEEL_ANGLE
     return reason
 
@@ -179,13 +181,15 @@ def _reason(pose: Pose) -> Code | None:
     if pose.direction < 0:
         return Code.REVERSE
     bodies, u = (pose.tractor, pose.implement), pose.tractor.forward_velocity
-    if any(body.sd_heading is None or body.sd_heading > RECORD.roughest_heading for body in bodies):
+    if any(
+        body.sd_heading is None or exceeds(body.sd_heading, RECORD.roughest_heading, MADE) for body in bodies
+    ):
         return Code.NO_HEADING
     if u is None or pose.tractor.yaw_rate is None or pose.articulation is None:
         return Code.POSE_INCOMPLETE
-    if u < DRIVING.under_way:
+    if exceeds(DRIVING.under_way, u, MADE):
         return Code.TOO_SLOW
-    if abs(pose.articulation) > RECORD.largest_articulation:
+    if exceeds(abs(pose.articulation), RECORD.largest_articulation, MADE):
         return Code.BEYOND_ARTICULATION
     return None
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from tilth.estimator.record.record_builder import RECORD
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import MISPLACED, WITHOUT_RTK, FlagKind, Pose
 from tilth.schemas.reasons import Code
+from tilth.schemas.tolerances import MADE
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +119,10 @@ def _unsteady_reason(state: Steadiness) -> Code | None:
         return Code.SETTLING
     angles = [s.wheel_angle for s in state.block]
     speeds = [s.u for s in state.block]
-    if max(angles) - min(angles) > STEADY_DRIVING.steer_range:
+    if exceeds(max(angles) - min(angles), STEADY_DRIVING.steer_range, MADE):
         _start_settling(state)
         return Code.TURNING_IN_OR_OUT
-    if max(speeds) - min(speeds) > STEADY_DRIVING.speed_range:
+    if exceeds(max(speeds) - min(speeds), STEADY_DRIVING.speed_range, MADE):
         return Code.SPEED_NOT_STEADY
     if state.settled < STEADY_DRIVING.settling or state.settling_s > 0:
         return Code.SETTLING
@@ -151,15 +153,15 @@ def _sample(pose: Pose) -> tuple[SteadySample | None, Code | None]:
         return None, Code.REVERSE
     tractor, implement = pose.tractor, pose.implement
     u = tractor.forward_velocity
-    if u is not None and u < STEADY_DRIVING.slowest:
+    if u is not None and exceeds(STEADY_DRIVING.slowest, u, MADE):
         return None, Code.TOO_SLOW
     if pose.wheel_angle is None:
         return None, Code.NO_WHEEL_ANGLE
     if pose.articulation is None or tractor.yaw_rate is None or implement.yaw_rate is None or u is None:
         return None, Code.POSE_INCOMPLETE
-    if abs(pose.wheel_angle) > RECORD.largest_wheel_angle:
+    if exceeds(abs(pose.wheel_angle), RECORD.largest_wheel_angle, MADE):
         return None, Code.BEYOND_WHEEL_ANGLE
-    if abs(pose.articulation) > RECORD.largest_articulation:
+    if exceeds(abs(pose.articulation), RECORD.largest_articulation, MADE):
         return None, Code.BEYOND_ARTICULATION
     sample = SteadySample(
         u=u,

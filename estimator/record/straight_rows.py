@@ -15,8 +15,10 @@ import numpy as np
 
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.record.record import PSI, TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code
+from tilth.schemas.tolerances import MADE
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ def observe(block: Block, segment: Segment | None) -> None:
     if block.reason is not None:
         return
     heading = float(segment.record.ticks[0, PSI])
-    if block.row and abs(heading - block.heading) > ROWS.largest_turn:
+    if block.row and exceeds(abs(heading - block.heading), ROWS.largest_turn, MADE):
         end_row(block)
     if not block.row:
         block.heading = heading
@@ -120,6 +122,6 @@ def _count(block: Block, reason: Code) -> None:
 def _is_straight(segment: Segment, straight_on: float) -> bool:
     """straight_on: rad, what the wheels read when straight."""
     ticks = segment.record.ticks
-    turned = np.max(np.abs(ticks[:, WHEEL_ANGLE] - straight_on))
-    folded = np.max(np.abs(ticks[:, PSI] - ticks[:, PSI + 1]))
-    return bool(turned <= ROWS.straight and folded <= ROWS.folded)
+    turned = float(np.max(np.abs(ticks[:, WHEEL_ANGLE] - straight_on)))
+    folded = float(np.max(np.abs(ticks[:, PSI] - ticks[:, PSI + 1])))
+    return not (exceeds(turned, ROWS.straight) or exceeds(folded, ROWS.folded, MADE))

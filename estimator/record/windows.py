@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code, Reason
 
@@ -149,7 +150,7 @@ def _wheel_angles(window: list[Segment]) -> Array:
 
 def _turned(window: list[Segment], zero: float) -> bool:
     """Whether the wheels are turned anywhere in these segments."""
-    return bool(np.any(np.abs(_wheel_angles(window) - zero) > WINDOWS.turned))
+    return exceeds(float(np.max(np.abs(_wheel_angles(window) - zero), initial=0.0)), WINDOWS.turned)
 
 
 def _is_complete(window: list[Segment], least_steering: float, zero: float) -> bool:
@@ -166,7 +167,9 @@ def _has_steering(window: list[Segment], least_steering: float) -> bool:
 
     least_steering: as of `collect`.
     """
-    return float(np.var(_wheel_angles(window))) * len(window) >= least_steering**2 * WINDOWS.longest
+    return not exceeds(
+        least_steering**2 * WINDOWS.longest, float(np.var(_wheel_angles(window))) * len(window)
+    )
 
 
 def _lacking(window: list[Segment], zero: float) -> Code:

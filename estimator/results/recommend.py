@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from tilth.estimator.diagnosis.widening import OfEvenGround, widened
+from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Reason
@@ -90,10 +91,15 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
     for k, one in enumerate(candidates):
         for other in candidates[k + 1 :]:
             distance, shared = _distance(one, other)
-            if shared and not distance <= limits[shared]:  # nan counts as disagreement
+            if shared and _is_beyond(distance, limits[shared]):
                 numbers = (distance, float(shared), RECOMMENDATION.disagree_above[shared])
                 return Reason(Code.DISAGREE, (one.method, other.method), numbers)
     return None
+
+
+def _is_beyond(distance: float, limit: float) -> bool:
+    """What is no number counts as disagreement."""
+    return math.isnan(distance) or exceeds(distance, limit)
 
 
 def beside_better(estimate: Estimate, estimates: Mapping[str, Estimate]) -> Estimate:
@@ -105,7 +111,7 @@ def beside_better(estimate: Estimate, estimates: Mapping[str, Estimate]) -> Esti
     better = [m for m in PREFERRED[:-1] if m in estimates and not (m == "pem" and _outdated(estimates))]
     for other in (estimates[m] for m in better):
         distance, shared = _distance(other, estimate)
-        if shared and not distance <= (limit := RECOMMENDATION.disagree_above[shared]):
+        if shared and _is_beyond(distance, limit := RECOMMENDATION.disagree_above[shared]):
             reason = Reason(Code.DISAGREE, (other.method, estimate.method), (distance, float(shared), limit))
             parameters = tuple(
                 one if one.value is None else ParameterEstimate(None, None, Status.INVALID, reason, one.age_s)
@@ -130,7 +136,7 @@ def _usable(estimates: Mapping[str, Estimate]) -> Iterator[tuple[Estimate, Reaso
     of_place = estimates.get(PLACE)
     if of_place is not None and _is_finite(of_place) and _usable_parameters(of_place, Status.ESTIMATED):
         patchy = of_place.excitation.get(PATCHY, 0.0)
-        if patchy > RECOMMENDATION.patchy:
+        if exceeds(patchy, RECOMMENDATION.patchy):
             if "pem" in estimates:  # which it rests on, for the rig and for what to drive
                 rig = estimates["pem"]
                 of_place = replace(of_place, nuisances=rig.nuisances, advice=rig.advice)
@@ -157,7 +163,7 @@ def _before_others(
     if other is None or not told or (other.method == PREFERRED[-1] and known >= told):
         return Reason(Code.ROWS_ALONE, (rows.method,))
     sd, of_other = _mean_sd(rows, told), _mean_sd(other, told)
-    if known >= told and sd < of_other:
+    if known >= told and exceeds(of_other, sd):
         return Reason(Code.ROWS_KNOW_MORE, (rows.method, other.method), (sd, of_other))
     return None
 

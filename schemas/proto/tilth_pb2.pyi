@@ -334,6 +334,18 @@ class FitOutcome(_message.Message):
     job_sha256: str
     def __init__(self, t_ns: _Optional[int] = ..., method: _Optional[str] = ..., asked_ns: _Optional[int] = ..., adopted: _Optional[bool] = ..., awaited: _Optional[bool] = ..., late_ns: _Optional[int] = ..., result: _Optional[str] = ..., job_sha256: _Optional[str] = ...) -> None: ...
 
+class Tie(_message.Message):
+    __slots__ = ("t_ns", "statistic", "threshold", "above")
+    T_NS_FIELD_NUMBER: _ClassVar[int]
+    STATISTIC_FIELD_NUMBER: _ClassVar[int]
+    THRESHOLD_FIELD_NUMBER: _ClassVar[int]
+    ABOVE_FIELD_NUMBER: _ClassVar[int]
+    t_ns: int
+    statistic: float
+    threshold: float
+    above: bool
+    def __init__(self, t_ns: _Optional[int] = ..., statistic: _Optional[float] = ..., threshold: _Optional[float] = ..., above: _Optional[bool] = ...) -> None: ...
+
 class Ready(_message.Message):
     __slots__ = ("t_ns", "ready", "text")
     T_NS_FIELD_NUMBER: _ClassVar[int]

@@ -18,7 +18,7 @@ from tilth.logger.machine_file import read_machine
 from tilth.replay.compare import IDENTICAL
 from tilth.replay.readers.any_log import open_log
 from tilth.replay.readers.log import Logged, OpenLog
-from tilth.schemas.channels import CHANNEL
+from tilth.schemas.channels import CHANNEL, TIE_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Quantity
 from tilth.schemas.machine_toml import MachineFile
@@ -151,7 +151,7 @@ def record(folder: Path, rows: Sequence[Frame], parts: int, run: str = "r") -> L
             writer.frame(row)
             for publication, data in fold.take(row):
                 writer.message(publication.topic, publication.t_ns, data)
-                results += 1
+                results += publication.topic != TIE_TOPIC
         writer.close()
         paths.append(path)
     return Live(list(rows), paths, results)
