@@ -44,6 +44,7 @@ COMMAND = "usr/local/bin/tilth"
 KEYS = "daemon.json"
 KERNELS = "var/cache/tilth"  # what numba has compiled; NUMBA_CACHE_DIR and CacheDirectory of the unit
 MACHINE = "etc/tilth/machine.toml"
+SCALE_DBC, IMPLEMENT_FILES = "implement.load.weighing.dbc", "implements.files"  # keys of a machine file
 NEXT = "`tilth discover` drafts a machine file, `sudo tilth-setup machine FILE` takes it"
 WHEELS = Path(__file__).resolve().with_name("wheels")  # what the Debian package brings
 PYTHON = Path(sys.base_prefix, "bin", f"python3.{sys.version_info.minor}")  # has pip; a release has none
@@ -170,19 +171,22 @@ def _take(box: Box, args: argparse.Namespace, beside: Sequence[Path]) -> None:
             print(f'the keys are not used until {machine} says: [zenoh] config = "{KEYS}"')
 
 
-def _files_beside(machine: Path) -> list[Path]:
-    """What a machine file names and goes with it: a DBC file, and files of implements. Not what it names by
-    an absolute path, which stays where it is. Raises Failed: what root copies is told by a file that may be
-    anybody's."""
+def _files_beside(
+    machine: Path, keys: Sequence[str] = ("wheel_angle.dbc", SCALE_DBC, IMPLEMENT_FILES)
+) -> list[Path]:
+    """What a machine file names and goes with it: DBC files, and files of implements with theirs. Not what
+    it names by an absolute path, which stays where it is. Raises Failed: what root copies is told by a file
+    that may be anybody's."""
     try:
         plain = tomllib.loads(machine.read_text(encoding="utf-8-sig"))
     except ValueError as error:
         raise Failed(f"{machine}: {error}") from None
     named: list[tuple[str, object]] = []
-    for section, key in (("wheel_angle", "dbc"), ("implements", "files")):
-        table = plain.get(section)
-        told = table.get(key) if isinstance(table, dict) else None
-        named += [(f"{section}.{key}", name) for name in (told if isinstance(told, list) else [told])]
+    for key in keys:
+        told: object = plain
+        for part in key.split("."):
+            told = told.get(part) if isinstance(told, dict) else None
+        named += [(key, name) for name in (told if isinstance(told, list) else [told])]
     files = []
     for key, name in named:
         if not isinstance(name, str) or Path(name).is_absolute():
@@ -193,7 +197,7 @@ def _files_beside(machine: Path) -> list[Path]:
         file = machine.parent / name
         if file.is_symlink() or not file.is_file():
             raise Failed(f"{file}: is no plain file; put the file itself beside the machine file")
-        files.append(file)
+        files += [file, *(_files_beside(file, [SCALE_DBC]) if key == IMPLEMENT_FILES else [])]
     return files
 
 

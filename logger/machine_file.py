@@ -1,4 +1,4 @@
-"""Opens a machine file, and the files that it names: of implements, and a DBC file."""
+"""Opens a machine file, and the files that it names: of implements, and DBC files."""
 
 import codecs
 import re
@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from tilth.schemas.invocation import command
-from tilth.schemas.machine import MachineError
-from tilth.schemas.machine_toml import MachineFile, joined, parse_machine
+from tilth.schemas.machine import DBC_BREAK, MachineError
+from tilth.schemas.machine_toml import DBC_SECTIONS, MachineFile, joined, parse_machine, section_of
 from tilth.schemas.readable import reason_of
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
@@ -20,7 +20,8 @@ def read_machine(path: Path | str) -> MachineFile:
     """A machine file; of a tractor with several implements TRACTOR.toml+NAME, with one of them.
 
     Relative wheel_angle.dbc, zenoh.config, estimation.field_map and implements.files count from the machine
-    file's folder. Raises MachineError in one sentence.
+    file's folder, implement.load.weighing.dbc from that of the file which has it. Raises MachineError in one
+    sentence.
     """
     path, name = _parted(Path(path))
     rigs = read_rigs(path)
@@ -70,10 +71,7 @@ def read_rigs(path: Path | str) -> dict[str, MachineFile]:
 
 def _machine(path: Path, text: str, of: Path | None = None) -> MachineFile:
     """of: the implement's file, where it has one."""
-    dbc = _told(text, "wheel_angle", "dbc")
-    dbc_text = (
-        None if not isinstance(dbc, str) else _text(path.parent / dbc, "wheel_angle.dbc", otherwise=_ANSI)
-    )
+    dbc_text = _dbc_text(text, path, of)
     try:
         if _told(text, "implement", "name") and _told(text, "machine", "name") is None:
             raise MachineError("a file of an implement; give the tractor's, which names it in [implements]")
@@ -88,6 +86,23 @@ def _machine(path: Path, text: str, of: Path | None = None) -> MachineFile:
         at = {"field_map": str(path.parent / machine.estimation.field_map)}
         machine = machine.model_copy(update={"estimation": machine.estimation.model_copy(update=at)})
     return MachineFile(machine, text)
+
+
+def _dbc_text(text: str, path: Path, of: Path | None) -> str | None:
+    """As Machine.dbc_text. of: the implement's file, where it has one."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None  # parse_machine explains what is wrong
+    texts: list[str | None] = []
+    for keys in DBC_SECTIONS:
+        named = (section_of(raw, keys) or {}).get("dbc")
+        folder = (of if of is not None and keys[0] == "implement" else path).parent
+        texts.append(
+            _text(folder / named, f"{'.'.join(keys)}.dbc", otherwise=_ANSI).replace(DBC_BREAK, " ")
+            if isinstance(named, str) else None
+        )  # fmt: skip
+    return None if texts == [None] * len(texts) else DBC_BREAK.join(text or "" for text in texts)
 
 
 def implement_of(path: Path | str) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tilth.schemas.can_id import BROADCAST, CanId, join, split
+from tilth.schemas.can_signal import CanSignal
 from tilth.schemas.fields import Rows
 from tilth.schemas.flow import (
     AddressClaim,
@@ -19,6 +20,7 @@ from tilth.schemas.flow import (
     Message,
     Origin,
     Position,
+    Weight,
     WheelAngle,
     Word,
 )
@@ -28,9 +30,10 @@ from tilth.schemas.measures import Head, Made, makers_of
 from tilth.schemas.pgn_table import PGNS, Pgn, row
 from tilth.schemas.reassembly import TP_CONTROL, TP_DATA, Assembled, Assembler, frames_in_fast, split_fast
 from tilth.schemas.rejections import Rejection, count
+from tilth.schemas.weighing import compile_weighing
 from tilth.schemas.wheel_angle import RUDDER, WheelAngleSensor, compile_sensor
 
-_CLAIM, _RUDDER = row(60928), row(RUDDER)
+_CLAIM, _RUDDER, _WEIGHT = row(60928), row(RUDDER), row(65258)
 _PLAIN = {row.pgn: row for row in PGNS if row.manufacturer is None}
 _PROPRIETARY = {
     (row.manufacturer, row.pgn, row.selector): row for row in PGNS if row.manufacturer is not None
@@ -60,6 +63,7 @@ class _Route:
     read: Callable[["_Route", Frame], _Arrival | None] | None
     row: Pgn | None  # None: depends on who sends, or on the announcement
     sensor: WheelAngleSensor | None
+    weighing: CanSignal | None
 
 
 class Decoder:
@@ -69,7 +73,7 @@ class Decoder:
     def __init__(self, machine: Machine | None = None) -> None:
         """machine: whose receivers and wheel-angle sensor make measurements; None: messages only.
 
-        Raises MachineError where its DBC file does not give the wheel angle.
+        Raises MachineError where a DBC file does not give the signal that it is named for.
         """
         self.rejected: dict[str, int] = {}
         self.heard: list[Position] = []  # of who may be a receiver; whoever reads them clears them
@@ -79,6 +83,10 @@ class Decoder:
         self._addresses = AddressBook(machine.receiver if machine is not None else ())
         self._assembler = Assembler(_WANTED - {_CLAIM.pgn}, self.rejected)
         self._sensor = compile_sensor(machine) if machine is not None else None
+        self._weighing = compile_weighing(machine) if machine is not None else None
+        self._weighs_whole = (
+            machine is not None and machine.weighing is not None and machine.weighing.weighs == "whole"
+        )
         self._routes: dict[tuple[str, int, bool], _Route | None] = {}
 
     @property
@@ -119,21 +127,27 @@ class Decoder:
             return []
         messages: list[Message] = []
         if route.sensor is not None and route.row is not _RUDDER:
-            messages.append(self._wheel_message(route, route.sensor, frame))
+            read = route.sensor.read(frame.data)
+            messages.append(self._own_message(route, frame, "wheel_angle_rad", read, "wheel-angle sensor"))
+        if route.weighing is not None:
+            read, key = route.weighing.reading(frame.data), "whole" if self._weighs_whole else "carried"
+            messages.append(self._own_message(route, frame, f"{key}_mass_kg", read, "scale"))
         arrival = route.read(route, frame) if route.read is not None else None
         if arrival is not None:
             messages.append(self._message_of(route, arrival))
         return messages
 
-    def _wheel_message(self, route: _Route, sensor: WheelAngleSensor, frame: Frame) -> Message:
-        angle = sensor.read(frame.data)
-        reason = angle if isinstance(angle, Rejection) else None
+    def _own_message(
+        self, route: _Route, frame: Frame, key: str, read: float | Rejection, title: str
+    ) -> Message:
+        """Of what the machine file describes."""
+        reason = read if isinstance(read, Rejection) else None
         if reason is not None:
             count(self.rejected, reason)
         return Message(
             frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None,
-            {} if reason is not None else {"wheel_angle_rad": angle},
-            title="wheel-angle sensor", priority=route.can_id.priority,
+            {} if reason is not None else {key: read},
+            title=title, priority=route.can_id.priority,
             destination=route.can_id.destination, reason=reason,
         )  # fmt: skip
 
@@ -161,11 +175,13 @@ class Decoder:
         found: list[Measurement] = []
         if route.sensor is not None:
             self._measure_wheel(route, route.sensor, frame, found)
+        if route.weighing is not None:
+            self._measure_weight(route, route.weighing, frame, found)
         arrival = route.read(route, frame) if route.read is not None else None
         if arrival is not None:
             if arrival[0] is _CLAIM:
                 self._measure_claim(route.sender, arrival, found)
-            else:
+            elif arrival[0] is not _WEIGHT or self._weighing is None:  # the file says which scale is meant
                 self._measure(route, arrival, found)
         return found
 
@@ -189,12 +205,12 @@ class Decoder:
 
     def _new_route(self, frame: Frame, wanted: frozenset[int]) -> _Route | None:
         sensor = self._sensor if self._sensor is not None and self._sensor.hears(frame) else None
+        weighing = self._weighing if self._weighing is not None and self._weighing.hears(frame) else None
         if not frame.extended:
-            if sensor is None:
+            if sensor is None and weighing is None:
                 return None
-            return _Route(
-                CanId(0, 0, -1, BROADCAST), self._addresses.sender(frame.bus, -1), None, None, sensor
-            )
+            nobody = self._addresses.sender(frame.bus, -1)
+            return _Route(CanId(0, 0, -1, BROADCAST), nobody, None, None, sensor, weighing)
         can_id = split(frame.can_id)
         known = _PLAIN.get(can_id.pgn)
         read: Callable[[_Route, Frame], _Arrival | None] | None = None
@@ -206,9 +222,9 @@ class Decoder:
             read = self._claimed
         elif can_id.pgn in wanted:
             read = self._fast if can_id.pgn in _FAST else self._single
-        if read is None and sensor is None:
+        if read is None and sensor is None and weighing is None:
             return None
-        return _Route(can_id, self._addresses.sender(frame.bus, can_id.source), read, known, sensor)
+        return _Route(can_id, self._addresses.sender(frame.bus, can_id.source), read, known, sensor, weighing)
 
     def _single(self, route: _Route, frame: Frame) -> _Arrival | None:
         found = route.row
@@ -340,6 +356,16 @@ class Decoder:
             return
         head = (frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None)
         found.append(WheelAngle(*head, angle, sensor.sd))
+
+    def _measure_weight(
+        self, route: _Route, weighing: CanSignal, frame: Frame, found: list[Measurement]
+    ) -> None:
+        mass = weighing.reading(frame.data)
+        if isinstance(mass, Rejection):
+            count(self.rejected, mass)
+            return
+        head = (frame.t_ns, frame.rx_ns, route.sender.origin, route.can_id.pgn, None)
+        found.append(Weight(*head, *((mass, None) if self._weighs_whole else (None, mass))))
 
     def _measure_claim(self, sender: Sender, arrival: _Arrival, found: list[Measurement]) -> None:
         _, payload, t_ns, rx_ns = arrival

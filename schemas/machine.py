@@ -33,6 +33,7 @@ _HexName = Annotated[
     int,
     BeforeValidator(_hexadecimal, json_schema_input_type=Annotated[str, Field(pattern="^[0-9A-Fa-f]{16}$")]),
 ]
+DBC_BREAK = "\f"  # a page's end: between the texts of two DBC files
 _NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
 
 
@@ -60,6 +61,30 @@ class Ballast(_Section):
     width: float = Field(default=0.0, ge=0, description="how wide it is, m")
 
 
+class Weighing(_Section):
+    """A scale on the implement, whose message is a signal of a DBC file."""
+
+    bus: str
+    dbc: str = Field(description="DBC file, relative to the file that names it")
+    dbc_text: str | None = Field(default=None, description="the text of that file; filled in when it is read")
+    signal: str
+    weighs: Literal["load", "whole"] = Field(
+        default="load", description="what is carried, or the implement with what it carries"
+    )
+    mask: int = Field(
+        default=0x1FFFFFFF, ge=0, le=0x1FFFFFFF, description="bits of the identifier that must match"
+    )
+    scale: float | None = Field(
+        default=None, gt=0, description="kg per unit of the signal; not told: by its unit, kg, t or lb"
+    )
+    offset: float = Field(default=0.0, description="kg")
+    not_available: int | list[int] | None = Field(
+        default=None,
+        description="raw value, or [lowest, highest], that means no data (as read, unsigned); not told: all "
+        "bits set, of a signal without sign",
+    )
+
+
 class Load(Ballast):
     """What an implement carries and loses during the day: `mass` when it is full, 0 when it is empty. Mass,
     CG
@@ -74,6 +99,9 @@ class Load(Ballast):
         gt=0,
         description="time in which it may become any other, where no scale tells it, s: a grain cart 600, a "
         "sprayer 3600",
+    )
+    weighing: Weighing | None = Field(
+        default=None, description="a scale that a DBC file describes; PGN 65258 needs none"
     )
 
 
@@ -415,6 +443,17 @@ class Machine(_Section):
         """The machine and, where it has a name, the implement: what estimates belong to."""
         return f"{self.name}+{self.implement.name}" if self.implement.name else self.name
 
+    @property
+    def weighing(self) -> Weighing | None:
+        return None if self.implement.load is None else self.implement.load.weighing
+
+    @property
+    def dbc_text(self) -> str | None:
+        """Of the DBC files that it names, that of the wheel angle and that of the scale, as machine_toml
+        reads them; None where it names none."""
+        own = (self.wheel_angle.dbc_text, self.weighing and self.weighing.dbc_text)
+        return DBC_BREAK.join(text or "" for text in own).rstrip(DBC_BREAK) or None
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         names = [bus.name for bus in self.bus]
@@ -423,6 +462,7 @@ class Machine(_Section):
         for user, bus in [
             *((f"receiver {r.mount}", r.bus) for r in self.receiver),
             ("wheel_angle", self.wheel_angle.bus),
+            *(("implement.load.weighing", scale.bus) for scale in [self.weighing] if scale is not None),
         ]:
             if bus not in names:
                 raise ValueError(

@@ -2,15 +2,18 @@
 
 import hashlib
 import tomllib
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
 from tilth.schemas.ballast import as_driven
 from tilth.schemas.file_problem import sentence
-from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.machine import DBC_BREAK, Machine, MachineError
 from tilth.schemas.plausible import refuse_impossible
 
+DBC_SECTIONS: Final = (("wheel_angle",), ("implement", "load", "weighing"))
+"""Sections that may name a DBC file, in the order of Machine.dbc_text."""
 OF_IMPLEMENT: Final = "[implement], [tyres.implement] and the receivers on the implement"
 
 
@@ -22,14 +25,15 @@ class MachineFile(NamedTuple):
 
     @property
     def sha256(self) -> str:
-        """Of the text and of that of the DBC file it names: tells whether a snapshot fits."""
-        return hashlib.sha256((self.text + (self.machine.wheel_angle.dbc_text or "")).encode()).hexdigest()
+        """Of the text and of those of the DBC files it names: tells whether a snapshot fits."""
+        return hashlib.sha256((self.text + (self.machine.dbc_text or "")).encode()).hexdigest()
 
 
 def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = True) -> Machine:
-    """Machine from the TOML text of a machine file and the text of the DBC file it names, if any; ballast is
-    counted in.
+    """Machine from the TOML text of a machine file and the texts of the DBC files it names, if any; ballast
+    is counted in.
 
+    dbc_text: as Machine.dbc_text.
     plausible: refuse what cannot be a real rig; not of a file stored in a log that is only to be read.
     Raises MachineError.
     """
@@ -37,8 +41,11 @@ def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = T
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise MachineError(f"not a TOML file: {error}") from None
-    if dbc_text is not None and isinstance(raw.get("wheel_angle"), dict):
-        raw["wheel_angle"]["dbc_text"] = dbc_text
+    texts = (dbc_text or "").split(DBC_BREAK)
+    for keys, own in zip(DBC_SECTIONS, texts, strict=False):
+        section = section_of(raw, keys)
+        if section is not None and dbc_text is not None:
+            section["dbc_text"] = own
     try:
         machine = as_driven(Machine.model_validate(raw))
     except ValidationError as error:
@@ -46,6 +53,13 @@ def parse_machine(text: str, dbc_text: str | None = None, *, plausible: bool = T
     if plausible:
         refuse_impossible(machine)
     return machine
+
+
+def section_of(raw: object, keys: Sequence[str]) -> dict[str, Any] | None:
+    """A section of a TOML file that may be wrong; None where it is none."""
+    for key in keys:
+        raw = raw.get(key) if isinstance(raw, dict) else None
+    return raw if isinstance(raw, dict) else None
 
 
 def joined(tractor: str, implement: str) -> str:

@@ -14,6 +14,7 @@ from tilth.schemas.limits import LIMITS, Doubt, KeyLimits, doubt_of, judged, mea
 from tilth.schemas.machine import Ballast, Implement, Machine, MachineError, Quantity, Receiver, Tractor, Tyre
 from tilth.schemas.plausible_wheel import wheel_doubts
 from tilth.schemas.tyre_size import tyre_size, upright_stiffness
+from tilth.schemas.weighing import weighing_doubts
 
 GRAVITY: Final = 9.80665  # m/s^2
 COEFFICIENT: Final = (0.3, 40.0)  # cornering stiffness over axle load, 1/rad: beyond, it is no tyre
@@ -37,7 +38,8 @@ def doubts(machine: Machine) -> list[Doubt]:
     """All impossible and rare values; the impossible ones first. Ballast is counted in, as `parse_machine`
     does; of single values those of the file are judged."""
     told = as_told(machine)
-    found = [*_values(told), *_rig(told, machine), *_receivers(told), *wheel_doubts(told)]
+    found = [*_values(told), *_rig(told, machine), *_receivers(told), *wheel_doubts(told),
+             *weighing_doubts(told)]  # fmt: skip
     return sorted(found, key=lambda doubt: not doubt.refused)
 
 

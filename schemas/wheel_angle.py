@@ -10,63 +10,25 @@ circle: cot(mean) = cot(left) - w / 2L = cot(right) + w / 2L, right turns positi
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-from tilth.schemas.can_id import join, split
+from tilth.schemas.can_id import join
+from tilth.schemas.can_signal import Bits, CanSignal, bits_from, dbc_signal, no_data
 from tilth.schemas.fields import DEG
-from tilth.schemas.flow import Frame
-from tilth.schemas.machine import Machine, MachineError, WheelAngle
+from tilth.schemas.machine import Machine, WheelAngle
 from tilth.schemas.pgn_table import row
 from tilth.schemas.rejections import Rejection
 
 RUDDER = 127245
 _PGN_AND_SOURCE = 0x03FFFFFF
-_PGN_ONLY = 0x03FFFF00
-_J1939_ANY_SOURCE = 0xFE  # source address of a message in a J1939 DBC file: whoever sends it
 
 Points = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Bits:
-    """Where the raw value is."""
+class WheelAngleSensor(CanSignal):
+    """A wheel-angle sensor, compiled from the machine file; its signal is in degrees."""
 
-    size: int  # bytes that are needed
-    big_endian: bool
-    shift: int  # from the least significant bit of those bytes
-    bits: int
-    signed: bool
-
-    def read(self, data: bytes) -> int | None:
-        """Unsigned raw value; None where the data is too short."""
-        if len(data) < self.size:
-            return None
-        whole = int.from_bytes(data[: self.size], "big" if self.big_endian else "little")
-        return whole >> self.shift & (1 << self.bits) - 1
-
-    def write(self, raw: int) -> bytes:
-        """Data with the raw value in it and ones around it."""
-        mask = (1 << self.bits) - 1 << self.shift
-        whole = (1 << 8 * self.size) - 1 & ~mask | raw << self.shift & mask
-        return whole.to_bytes(self.size, "big" if self.big_endian else "little")
-
-
-@dataclass(frozen=True, slots=True)
-class WheelAngleSensor:
-    """A wheel-angle sensor, compiled from the machine file."""
-
-    bus: str
-    can_id: int
-    mask: int
-    extended: bool
-    bits: Bits
-    scale: float  # degrees per bit
-    offset: float  # degrees
-    no_data: tuple[
-        int, int
-    ]  # lowest and highest unsigned raw value that means none; empty if lowest > highest
     lookup: Points  # reading -> angle, degrees; empty: none
     sign: int
     zero: float  # degrees
@@ -77,26 +39,13 @@ class WheelAngleSensor:
     sd: float  # rad
     instance: int | None = None  # byte 0 of PGN 127245
 
-    def hears(self, frame: Frame) -> bool:
-        """Is this frame the sensor's?"""
-        return (
-            frame.bus == self.bus
-            and frame.extended == self.extended
-            and (frame.can_id ^ self.can_id) & self.mask == 0
-        )
-
     def read(self, data: bytes) -> float | Rejection:
         """Mean road-wheel angle in rad, positive right; or the reason why there is none."""
-        raw = self.bits.read(data)
-        if raw is None:
-            return Rejection.SHORT_FRAME
-        if self.instance is not None and data[0] != self.instance:
+        if self.instance is not None and len(data) >= self.bits.size and data[0] != self.instance:
             return Rejection.UNKNOWN_SOURCE
-        if self.no_data[0] <= raw <= self.no_data[1]:
-            return Rejection.NOT_AVAILABLE
-        if self.bits.signed and raw >> self.bits.bits - 1:
-            raw -= 1 << self.bits.bits
-        reading = raw * self.scale + self.offset
+        reading = self.reading(data)
+        if isinstance(reading, Rejection):
+            return reading
         if self.lookup:
             looked_up = _between(self.lookup, reading)
             if looked_up is None:
@@ -137,7 +86,7 @@ def compile_sensor(machine: Machine) -> WheelAngleSensor:
     if first is None:
         assert given.start_byte is not None
         first = 8 * given.start_byte + (7 if given.byte_order == "big" else 0)
-    bits = _bits(given.byte_order == "big", first, given.bits, given.signed)
+    bits = bits_from(given.byte_order == "big", first, given.bits, given.signed)
     return _sensor(machine, given.id, given.mask, given.extended, bits, given.scale, given.offset)
 
 
@@ -153,7 +102,7 @@ def _sensor(
         bits,
         scale,
         offset,
-        _no_data(given.not_available),
+        no_data("wheel_angle", given.not_available),
         tuple(given.lookup or ()),
         given.sign,
         given.zero.value,
@@ -163,18 +112,6 @@ def _sensor(
     )
 
 
-def _no_data(given: int | Sequence[int] | None) -> tuple[int, int]:
-    if given is None:
-        return 1, 0
-    if isinstance(given, int):
-        return given, given
-    if len(given) != 2 or given[0] > given[1]:
-        raise MachineError(
-            f"wheel_angle.not_available = {list(given)}: give one raw value, or [lowest, highest] of them"
-        )
-    return given[0], given[1]
-
-
 def ackermann_of(machine: Machine) -> float:
     """w / 2L of the kingpin that carries the sensor, as WheelAngleSensor.ackermann."""
     side = {"mean": 0, "left": 1, "right": -1}[machine.wheel_angle.kingpin]
@@ -182,20 +119,11 @@ def ackermann_of(machine: Machine) -> float:
     return side * distance / (2.0 * machine.tractor.wheelbase)
 
 
-def _bits(big_endian: bool, first: int, bits: int, signed: bool) -> Bits:
-    """first: number of the least significant bit, of the most significant one if big endian (8 B + b)."""
-    if not big_endian:
-        return Bits((first + bits + 7) // 8, False, first, bits, signed)
-    from_top = first // 8 * 8 + 7 - first % 8  # bits before it, read from the front
-    size = (from_top + bits + 7) // 8
-    return Bits(size, True, 8 * size - from_top - bits, bits, signed)
-
-
 def _of_rudder(machine: Machine, given: WheelAngle) -> WheelAngleSensor:
     assert given.source is not None  # the machine file demands it
     table = row(RUDDER)
     field = next(field for field in table.fields if field.key == "wheel_angle_rad")
-    bits = _bits(False, field.start, field.bits, field.signed)
+    bits = bits_from(False, field.start, field.bits, field.signed)
     can_id = join(table.priority, RUDDER, given.source)
     sensor = _sensor(machine, can_id, _PGN_AND_SOURCE, True, bits, field.resolution() / DEG, 0.0)
     top = (1 << field.bits - 1) - 1
@@ -203,47 +131,10 @@ def _of_rudder(machine: Machine, given: WheelAngle) -> WheelAngleSensor:
 
 
 def _of_dbc(machine: Machine, given: WheelAngle) -> WheelAngleSensor:
-    # Imported here: half a second that only machines with a DBC file pay.
-    import cantools
-
-    if given.dbc_text is None:
-        raise MachineError(
-            f'wheel_angle.dbc = "{given.dbc}": its text was not read; give the path of the file'
-        )
-    try:
-        database: Any = cantools.database.load_string(given.dbc_text, "dbc", strict=False)
-    except (cantools.Error, ValueError, KeyError) as error:
-        raise MachineError(f'wheel_angle.dbc = "{given.dbc}": not a DBC file: {error}') from None
-    found = [
-        (message, signal)
-        for message in database.messages
-        for signal in message.signals
-        if signal.name == given.signal
-    ]
-    if len(found) != 1:
-        there = ", ".join(sorted({s.name for message in database.messages for s in message.signals}))
-        many = f"stands in {len(found)} messages" if found else "is not in it"
-        raise MachineError(
-            f'wheel_angle.signal = "{given.signal}": {many}; the signals there are: {there or "none"}'
-        )
-    return _of_signal(machine, given, *found[0])
-
-
-def _of_signal(machine: Machine, given: WheelAngle, message: Any, signal: Any) -> WheelAngleSensor:
-    if signal.multiplexer_ids or signal.is_float:
-        plain = [s.name for s in message.signals if not s.multiplexer_ids and not s.is_float]
-        kind = "multiplexed" if signal.multiplexer_ids else "a floating-point number"
-        raise MachineError(
-            f'wheel_angle.signal = "{signal.name}": is {kind}, which is not supported; '
-            f"plain signals of that message: {', '.join(plain) or 'none'}"
-        )
-    bits = _bits(signal.byte_order == "big_endian", signal.start, signal.length, signal.is_signed)
-    mask = given.mask
-    if message.is_extended_frame and split(message.frame_id).source == _J1939_ANY_SOURCE:
-        mask &= _PGN_ONLY
-    scale = float(signal.scale) * given.scale
-    offset = float(signal.offset) * given.scale + given.offset
-    return _sensor(machine, message.frame_id, mask, message.is_extended_frame, bits, scale, offset)
+    assert given.dbc is not None and given.signal is not None  # the machine file demands it
+    found = dbc_signal("wheel_angle", given.dbc, given.dbc_text, given.signal, given.mask)
+    scale, offset = found.scale * given.scale, found.offset * given.scale + given.offset
+    return _sensor(machine, found.can_id, found.mask, found.extended, found.bits, scale, offset)
 
 
 def _between(points: Points, x: float) -> float | None:

@@ -11,7 +11,7 @@ from tilth.schemas.readable import readable
 
 def facts_of(run: Run) -> dict[str, object]:
     """Plain data, the same for all files of a run. Raises OSError."""
-    text, dbc = run.machine_file.text, run.machine.wheel_angle.dbc_text
+    text, dbc = run.machine_file.text, run.machine.dbc_text
     machine = {"toml": text, "sha256": run.machine_file.sha256} | ({"dbc": dbc} if dbc else {})
     clock = run.reader.clock
     sources = [

@@ -115,7 +115,7 @@ def take_inventory(
     seen = unpacked(_kept(out / SEEN), SeenFiles) or SeenFiles()
     machines = dict(seen.machines)
     if given is not None:
-        machines[given.sha256] = (given.text, given.machine.wheel_angle.dbc_text)
+        machines[given.sha256] = (given.text, given.machine.dbc_text)
     files: list[SeenFile] = []
     whole = sum(size for _, size, _, _ in found) or 1
     done = 0
@@ -243,7 +243,7 @@ def _of_tilth(file: SeenFile, path: Path, out: Path, machines: dict[str, tuple[s
         ahead = 0 if found.first_ns > _YEAR_2000_NS else None
     of_run = run.get("id", "") and REPLAY not in found.metadata
     if machine is not None:
-        machines[machine.sha256] = (machine.text, machine.machine.wheel_angle.dbc_text)
+        machines[machine.sha256] = (machine.text, machine.machine.dbc_text)
     return replace(
         file, told=told, read_at=str(read) if read != path else "", first_ns=found.first_ns,
         last_ns=found.last_ns, utc_minus_ns=ahead,

@@ -1,4 +1,4 @@
-"""Checks whether the receivers and the wheel-angle sensor of the machine file are on the buses."""
+"""Checks whether the receivers, the wheel-angle sensor and the scale of the machine file are on the buses."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -7,13 +7,15 @@ from typing import Final
 
 from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.schemas.can_id import CanId, split
+from tilth.schemas.can_signal import CanSignal
 from tilth.schemas.decode import Decoder
 from tilth.schemas.device_names import manufacturer_name
-from tilth.schemas.flow import Frame, Mount, Position, WheelAngle
+from tilth.schemas.flow import Frame, Mount, Position, Weight, WheelAngle
 from tilth.schemas.identity import split_name
 from tilth.schemas.machine import Bus, Machine, Receiver
 from tilth.schemas.pgn_table import PGNS
 from tilth.schemas.sentences import notice_sentence
+from tilth.schemas.weighing import compile_weighing
 from tilth.schemas.wheel_angle import RUDDER, compile_sensor
 
 MOST_CANDIDATES: Final = 3  # candidates
@@ -50,15 +52,17 @@ class Devices:
     """`take` every frame in its order, then ask for `findings`."""
 
     def __init__(self, machine: Machine) -> None:
-        """Raises MachineError where its DBC file does not give the wheel angle."""
+        """Raises MachineError where a DBC file does not give the signal that it is named for."""
         self._machine = machine
-        self._sensor = compile_sensor(machine)
+        self._sensor, self._weighing = compile_sensor(machine), compile_weighing(machine)
         self._measurement_decoder, self._message_decoder = Decoder(machine), Decoder()
         self._senders: dict[tuple[str, int], _BusAddress] = {}
         self._identifiers: Counter[tuple[str, int, bool]] = Counter()
         self._used: Counter[Mount] = Counter()  # positions of the machine file's receivers
         self._angles = 0
         self._wheel_frames = 0
+        self._weights = 0
+        self._weighing_frames = 0
 
     def take(self, frame: Frame) -> None:
         """Take a frame; error frames do not count."""
@@ -66,10 +70,12 @@ class Devices:
             return
         self._identifiers[frame.bus, frame.can_id, frame.extended] += 1
         self._wheel_frames += self._sensor.hears(frame)
+        self._weighing_frames += self._weighing is not None and self._weighing.hears(frame)
         for measurement in self._measurement_decoder.measurements(frame):
             if isinstance(measurement, Position) and measurement.origin.mount is not None:
                 self._used[measurement.origin.mount] += 1
             self._angles += isinstance(measurement, WheelAngle)
+            self._weights += isinstance(measurement, Weight)
         if frame.extended:
             self._note(frame, split(frame.can_id))
 
@@ -98,6 +104,8 @@ class Devices:
         for receiver in self._machine.receiver:
             yield self._receiver(receiver)
         yield self._wheel()
+        if self._weighing is not None:
+            yield self._scale(self._weighing)
         for _, told in self._measurement_decoder.addresses.news:
             yield CheckFinding("device names", Level.PROBLEM, notice_sentence(told))
         silent = sorted({bus.name for bus in self._machine.bus if self._unclaimed(bus)})
@@ -194,6 +202,16 @@ class Devices:
         candidates = ", ".join(f"0x{can_id:X} on {bus}" for bus, can_id, _ in near[:MOST_CANDIDATES])
         hint = f"; the nearest that are heard: {candidates}" if near else "; is the sensor switched on?"
         return CheckFinding(what, Level.WARNING, f"no frame {wanted} is heard on {sensor.bus}{hint}")
+
+    def _scale(self, signal: CanSignal) -> CheckFinding:
+        wanted = f"0x{signal.can_id:X}"
+        if self._weights:
+            return CheckFinding("scale", Level.OK, f"{self._weights} weights")
+        if self._weighing_frames:
+            text = f"{self._weighing_frames} frames of {wanted}, none with a weight; check not_available"
+            return CheckFinding("scale", Level.WARNING, text)
+        text = f"no frame {wanted} is heard on {signal.bus}; is the scale switched on?"
+        return CheckFinding("scale", Level.WARNING, text)
 
     def _may_be_wheel(self, key: tuple[str, int, bool]) -> bool:
         _, can_id, extended = key

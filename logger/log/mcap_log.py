@@ -169,5 +169,5 @@ def _new_file(path: Path) -> IO[bytes]:
 
 
 def _machine_metadata(of: MachineFile) -> dict[str, str]:
-    dbc = of.machine.wheel_angle.dbc_text or ""
+    dbc = of.machine.dbc_text or ""
     return {"name": of.machine.name, "toml": of.text, "dbc": dbc, "sha256": of.sha256}

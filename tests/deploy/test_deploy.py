@@ -223,9 +223,12 @@ def test_a_plain_name_beside_the_machine_file_goes_with_it(tmp_path: Path) -> No
     machine = tmp_path / "rig.toml"
     for name in ("wheel angle.dbc", "cart.toml"):
         (tmp_path / name).write_text("")
+    (tmp_path / "tank.toml").write_text('[implement.load.weighing]\ndbc = "wheel angle.dbc"')
     for text, found in (
         ('[wheel_angle]\ndbc = "wheel angle.dbc"', ["wheel angle.dbc"]),
         ('[implements]\nfiles = ["cart.toml", "wheel angle.dbc"]', ["cart.toml", "wheel angle.dbc"]),
+        ('[implements]\nfiles = ["tank.toml"]', ["tank.toml", "wheel angle.dbc"]),
+        ('[implement.load.weighing]\ndbc = "wheel angle.dbc"', ["wheel angle.dbc"]),
         ('[wheel_angle]\ndbc = "/usr/share/x.dbc"', []),  # the service's user reads it there
         ("[wheel_angle]\ndbc = 3", []),  # the machine file is refused for it
         ("wheel_angle = 3", []),
