@@ -1,12 +1,14 @@
 """Many daemons' publications through one Zenoh router to one recorder: what is lost, what it costs.
 
     python bench/many_daemons.py [--daemons 300] [--seconds 60] [--processes 2] [--drive 60] [--patient]
+                                 [--together 1] [--pace 1.0]
 
 What one daemon publishes is taken from a simulated drive of so many seconds, with its times. Each simulated
-daemon has a sink and a session of its own, as `tilth run` has, and puts it in real time, each a little later
-than the one before. The router is a Zenoh session in router mode, the recorder a client that writes each
-payload to an MCAP file with its key; both are processes of their own. Lost is what was put, less what is in
-the file.
+daemon has a sink of its own, as `tilth run` has, and puts it in real time, each a little later than the one
+before; --together says how many share a session, that is a connection to the router. With --pace 0.25 all go
+at a quarter of real time, for a computer that has not the cores of them all. The router is a Zenoh session in
+router mode, the recorder a client that writes each payload to an MCAP file with its key; both are processes of
+their own. Lost is what was put, less what is in the file.
 """
 
 import argparse
@@ -100,9 +102,11 @@ def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> N
 def publish(
     endpoint: str,
     patient: bool,
+    together: int,
     numbers: range,
     puts: list[Put],
     seconds: float,
+    pace: float,
     ready: Event,
     begin: Event,
     told: Any,
@@ -111,12 +115,14 @@ def publish(
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     machine = parse_machine(text.replace('prefix = "tilth"', f'prefix = "{ROOT}"'))
     sinks = []
-    for number in numbers:
+    for k, number in enumerate(numbers):
+        if k % together == 0:
+            session = zenoh.open(config_of("client", endpoint, patient))
         named = machine.machine.model_copy(update={"name": f"tractor{number:03d}"})
         of = machine.model_copy(
             update={"machine": named, "zenoh": machine.zenoh.model_copy(update={"prefix": ROOT})}
         )
-        sinks.append(ZenohSink(of, session=zenoh.open(config_of("client", endpoint, patient))))
+        sinks.append(ZenohSink(of, session=session))
     ready.set()
     begin.wait()
     before, began, count = cpu_s(), time.monotonic(), 0
@@ -129,7 +135,7 @@ def publish(
     )
     latest = 0.0
     for at, k, topic, data in order:
-        wait = began + at - time.monotonic()
+        wait = began + at / pace - time.monotonic()
         if wait > 0.001:
             time.sleep(wait)
         latest = max(latest, -wait)
@@ -156,6 +162,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2, help="for the daemons")
     parser.add_argument("--drive", type=float, default=60.0, help="seconds of the drive that is published")
     parser.add_argument("--patient", action="store_true", help="links wait 0.1 s before they drop, not 1 ms")
+    parser.add_argument("--together", type=int, default=1, help="daemons that share a session")
+    parser.add_argument("--pace", type=float, default=1.0, help="times real time")
     args = parser.parse_args()
     puts = published(args.drive)
     rate, size = len(puts) / args.drive, sum(len(data) for _, _, data in puts) / len(puts)
@@ -176,7 +184,10 @@ def main() -> None:
         for k in range(args.processes):
             numbers = range(k * share, min((k + 1) * share, args.daemons))
             readies.append(context.Event())
-            words = (endpoint, args.patient, numbers, puts, args.seconds, readies[-1], begin, told)
+            words = (
+                endpoint, args.patient, args.together, numbers, puts, args.seconds, args.pace, readies[-1],
+                begin, told,
+            )  # fmt: skip
             context.Process(target=publish, args=words, daemon=True).start()
         for one in readies:
             one.wait()
@@ -191,13 +202,14 @@ def main() -> None:
     sent, failures = sum(one[3] for one in daemons), sum(one[4] for one in daemons)
     got = sum(count for key, count in came.items() if not key.endswith("/rig"))
     machines = {key.split("/")[1] for key in came}
+    took = args.seconds / args.pace
     print(
-        f"{args.daemons} daemons, {args.seconds:.0f} s: {sent} put ({sent / args.seconds:.0f}/s), {failures} "
+        f"{args.daemons} daemons, {took:.0f} s: {sent} put ({sent / took:.0f}/s), {failures} "
         f"refused, {got} in the file of {len(machines)} machines: {sent - got} lost "
         f"({100 * (sent - got) / sent:.2f} %); {written / max(got, 1):.0f} bytes each"
     )
     for name, cpu, megabytes, *_ in (*others, *daemons):
-        each = f"{100 * cpu / args.seconds:.1f} % of a core, {1e6 * cpu / sent:.1f} us for each value of all"
+        each = f"{100 * cpu / took:.1f} % of a core, {1e6 * cpu / sent:.1f} us for each value of all"
         print(f"    {name}: {each}, {megabytes:.0f} MB")
     print(f"    the daemons were behind their time by {max(one[5] for one in daemons):.2f} s at most")
 

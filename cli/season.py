@@ -86,9 +86,9 @@ def _tell(made: Season, as_json: bool) -> int:
         for path, why in made.inventory.left_out:
             _say(f"{path}: {why}")
     elif made.inventory.left_out:
-        _say(f"{len(made.inventory.left_out)} files are not used; {SUMMARY} says why")
+        _say(f"files that are not used: {len(made.inventory.left_out)}; {SUMMARY} says why")
     if done["failed"]:
-        _say(f"{done['failed']} runs failed; {SUMMARY} says why, --retry tries them again")
+        _say(f"runs that failed: {done['failed']}; {SUMMARY} says why, --retry tries them again")
     if made.not_kept:
         _say(f"{made.not_kept}: what came of some runs could not be kept; make room")
     return int(bool(done["failed"] or made.not_kept))

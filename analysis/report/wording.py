@@ -1,7 +1,7 @@
 """How numbers are written in tables and sentences: people's units, 95 % intervals, UTC."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from tilth.analysis.report.document import ReportCell
@@ -109,6 +109,11 @@ def distance(metres: float) -> str:
 def many(count: int, word: str) -> str:
     """Such as: 1 gap, 3 gaps."""
     return f"{count} {word}" if count == 1 else f"{count} {word}s"
+
+
+def sentences(parts: Sequence[str]) -> str:
+    """Of parts that begin small and have no full stop."""
+    return " ".join(f"{text[0].upper()}{text[1:]}." for text in parts)
 
 
 def listed(words: list[str]) -> str:

@@ -235,6 +235,8 @@ def _of_tilth(file: SeenFile, path: Path, out: Path, machines: dict[str, tuple[s
     except ForeignLog:  # of an MCAP file of others; --machine may tell
         machine = None
     found = read_file(read)
+    if not found.last_ns:
+        raise NoLog("nothing was recorded in it, or all of it was cut off; copy it again if there is another")
     run = found.metadata.get("run", {})
     clock = found.metadata.get("clock", {}).get("utc_minus_t_ns", "")
     if clock.lstrip("-").isdecimal():

@@ -20,7 +20,7 @@ from tilth.analysis.report.document import (
 from tilth.analysis.report.figure_look import LOOK, PAPER
 from tilth.analysis.report.page import page
 from tilth.analysis.report.season_figures import field_map
-from tilth.analysis.report.wording import NOTHING, many, meaning_of
+from tilth.analysis.report.wording import NOTHING, many, meaning_of, sentences
 from tilth.analysis.season.field_map import STIFFNESSES, MappedField
 from tilth.analysis.season.kept_table import RigStretches, runs_in
 from tilth.analysis.season.map_files import MEANING
@@ -46,8 +46,8 @@ def write_page(path: Path, rig: RigStretches, fields: Sequence[MappedField], com
     """One HTML file without scripts: figures are drawn of lines, so they stay sharp as a browser zooms. A new
     file or nothing. Raises OSError."""
     name = f"{rig.machine_name}, implement {rig.implement}"
-    how = [f"Made by: {command}.", *(f"{text[0].upper()}{text[1:]}." for text in rig.left_out)]
-    how += [f"{what.capitalize()}: {text}." for what, text in MEANING.items()]
+    how = [f"Made by: {command}.", *(sentences([text]) for text in rig.left_out)]
+    how += [sentences([f"{what}: {text}"]) for what, text in MEANING.items()]
     made = ReportSection("made", "How this was made", tuple(map(ReportText, how)))
     sections = [*map(_section, fields), made]
     report = DriveReport(f"Fields of {name}", tuple(sections), {})
@@ -91,7 +91,7 @@ def told_of(field: MappedField) -> str:
 
 
 def _section(field: MappedField) -> ReportSection:
-    told = f"{told_of(field)[0].upper()}{told_of(field)[1:]}."
+    told = sentences([told_of(field)])
     rows = tuple(
         (
             ReportCell(f"{meaning_of(name)}, {unit_of(name)}"),

@@ -27,6 +27,7 @@ from tilth.analysis.report.wording import (
     number,
     parameter_text,
     seconds,
+    sentences,
 )
 from tilth.analysis.report.writing import json_text
 from tilth.analysis.season.season import SUMMARY, Season
@@ -214,7 +215,7 @@ def _which(one: DrivenRun) -> tuple[ReportCell, ...]:
 
 
 def _look(made: Season, runs: Sequence[DrivenRun]) -> ReportSection:
-    rows = [(*_which(one), ReportCell(". ".join(one.look))) for one in runs if one.look]
+    rows = [(*_which(one), ReportCell(sentences(one.look))) for one in runs if one.look]
     parts: list[Part] = [
         ReportTable("look", "Runs that deserve a look, and why.", (*WHICH, "why"), tuple(rows))
         if rows

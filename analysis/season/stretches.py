@@ -159,6 +159,8 @@ def _look(one: DrivenRun) -> list[str]:
     """Why a person should look at a run."""
     found = one.found
     told = [one.apart] if one.apart else []
+    if not one.begins_ns:
+        told.append(UNDATED)
     told += [f"something has moved: {text}" for text in found.moved]
     told += [file.told for file in one.run.files if file.told]
     told += list(found.told)

@@ -90,6 +90,10 @@ def _told(url: str) -> Iterator[None]:
     except PermissionError:
         raise ForeignLog(f"{url}: reading it is not allowed; look at the credentials") from None
     except OSError as error:
-        raise ForeignLog(f"{url}: cannot be read ({reason_of(error) if error.errno else error})") from None
+        raise ForeignLog(_unread(url, reason_of(error) if error.errno else str(error))) from None
     except Exception as error:  # each kind of storage has errors of its own
-        raise ForeignLog(f"{url}: cannot be read ({' '.join(str(error).split())})") from None
+        raise ForeignLog(_unread(url, str(error))) from None
+
+
+def _unread(url: str, why: str) -> str:
+    return f"{url}: cannot be read ({' '.join(why.split())}); look at network, address and credentials"

@@ -84,6 +84,10 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "no log": (lambda path: path.write_text("a shopping list\n"), "not a log"),
     "nothing": (lambda path: path.touch(), "empty"),
+    "cut at its head": (
+        lambda path: path.write_bytes(write_mcap(path, some_frames(9)).read_bytes()[:30]),
+        "all of it was cut off",
+    ),
 }
 
 
