@@ -1,5 +1,6 @@
 """Logs for the tests of replay: written as the daemon writes them, read back whole."""
 
+import contextlib
 import importlib
 import re
 import struct
@@ -16,8 +17,8 @@ from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.machine_file import read_machine
 from tilth.replay.compare import IDENTICAL
-from tilth.replay.readers.any_log import open_log
-from tilth.replay.readers.log import Logged, OpenLog
+from tilth.replay.readers.any_log import frames, open_log
+from tilth.replay.readers.log import LogError, Logged, OpenLog
 from tilth.schemas.channels import CHANNEL, TIE_TOPIC
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine, Quantity
@@ -52,6 +53,15 @@ def some_frames(count: int, seed: int = 7) -> list[Frame]:
         )
         for i in range(count)
     ]
+
+
+def frames_in(path: Path) -> int:
+    """How many a log holds by now, which may still be written."""
+    count = 0
+    with contextlib.suppress(LogError):
+        for _ in frames(path):
+            count += 1
+    return count
 
 
 def with_exact_lengths(machine: Machine) -> Machine:
