@@ -283,9 +283,10 @@ class _Near(NamedTuple):
 
     kinds: _Kinds
     """Of each kind of soil: correlation of what was told with each axle's, (r, 3), and of these, (3, 3)."""
-    toward: Array  # as of SoilMemory._toward, (3, 6)
-    alike: tuple[Array, Array]  # as of SoilMemory._alike, of each direction that was told of, (r,)
-    worked: Array  # share of each axle's ground, (3,)
+    level: tuple[Array, Array]
+    """Whatever the soil: covariance of what was told with the six there, (r, 6), and of these, (6, 6), ..."""
+    toward: tuple[Array, Array]  # ... what the direction adds to it for the stiffnesses, (r, 3) and (3, 3),
+    work: tuple[Array, Array]  # and what work does
 
 
 class SoilMemory:
@@ -479,11 +480,20 @@ class SoilMemory:
         kinds, toward = self._of_place(place)
         (begin_s, epochs), worked = self._ages, np.zeros(AXLES) if asked.worked is None else asked.worked
         now_s = begin_s.max(initial=0.0) if asked.t_ns is None else asked.t_ns * 1e-9
-        of, (by_age, by_both) = self._directions[0], self._alike(np.array([now_s]), epochs.max(initial=0.0))
-        return _Near(kinds, toward, (by_age[of, 0], by_both[of, 0]), worked)
+        of, units, _, _ = self._directions
+        cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
+        ages = self._alike(np.array([now_s]), epochs.max(initial=0.0))
+        for alike, changing in zip(ages, self._of_time, strict=True):
+            cross -= units * changing * (1.0 - alike[of])
+        across = SOIL_FIELD.direction**2 * toward
+        by_work = SOIL_FIELD.worked**2 * _OF_AXLES * worked
+        return _Near(
+            kinds, (cross, own), (self._toward @ across.T, toward @ across.T),
+            (self._worked @ by_work, worked[:, None] * by_work),
+        )  # fmt: skip
 
     def _of_place(self, place: Array) -> tuple[_Kinds, Array]:
-        """`kinds` and `toward` of `_near`. Where the rig is, they are asked for four times in a row."""
+        """`kinds` and `toward` of `_near`. Where the rig is, they are asked for four times a second."""
         last = self._last_place
         if last is not None and np.array_equal(last[0], place):
             return last[1]
@@ -499,17 +509,13 @@ class SoilMemory:
 
     def _with(self, near: "_Near", soil: Variogram) -> tuple[Array, Array]:
         """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
-        _, units, _, _ = self._directions
-        cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
-        for alike, changing in zip(near.alike, self._of_time, strict=True):
-            cross -= units * changing * (1.0 - alike)[:, None]
-        told, there = near.kinds[soil.kind]
-        toward = SOIL_FIELD.direction**2 * near.toward
-        cross[:, :AXLES] += soil.sd**2 * told + self._toward @ toward.T
-        own[:AXLES, :AXLES] += soil.sd**2 * there + near.toward @ toward.T
-        by_work = SOIL_FIELD.worked**2 * _OF_AXLES * near.worked
-        cross[:, :AXLES] += self._worked @ by_work
-        own[:AXLES, :AXLES] += near.worked[:, None] * by_work
+        cross, own = (level.copy() for level in near.level)
+        of_axles = cross[:, :AXLES], own[:AXLES, :AXLES]
+        for part, kind, toward, work in zip(
+            of_axles, near.kinds[soil.kind], near.toward, near.work, strict=True
+        ):
+            part += soil.sd**2 * kind + toward
+            part += work
         return cross, own
 
     def shares(
