@@ -73,26 +73,31 @@ def wrong_rolls(checks: ReceiverChecks) -> list[Diagnosis]:
 
 def parked_errors(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
     """From distances while the rig stands or creeps, when latency has no effect on them."""
-    sds = (machine.tractor.c.sd, machine.implement.d.sd, *(r.survey_sd for r in machine.receiver))
-    hitch = max(FINDINGS.parked_limit, PLAUSIBILITY.survey_sds * math.hypot(*sds))
-    limits = (*pair_limits(machine), hitch, hitch)
     return [
         Diagnosis(
             Code.OFF_WHERE_PARKED, " or ".join(dict.fromkeys(NUMBER[name].key for name in names)),
             names[:1], names, (float(mean.value),),
         )
-        for names, limit, mean in zip(_PARKED, limits, aligner.long_term.parked, strict=True)
+        for names, limit, mean in zip(_PARKED, _parked_limits(machine), aligner.long_term.parked, strict=True)
         if mean.count >= FINDINGS.parked_poses and abs(mean.value) > limit
     ]  # fmt: skip
 
 
+@once_for_a_machine
+def _parked_limits(machine: Machine) -> tuple[float, ...]:
+    """Of each of _PARKED, m."""
+    sds = (machine.tractor.c.sd, machine.implement.d.sd, *(r.survey_sd for r in machine.receiver))
+    hitch = max(FINDINGS.parked_limit, PLAUSIBILITY.survey_sds * math.hypot(*sds))
+    return *pair_limits(machine), hitch, hitch
+
+
 def latencies(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
     """Whether the latencies that would explain the distances are implausibly different."""
-    present, differences, covariance = _of_latencies(machine)
+    present, differences, inverse = _of_latencies(machine)
     if len(present) < 2:
         return []
     off = differences @ aligner.latency.tau[present]
-    if float(off @ np.linalg.solve(covariance, off)) < FINDINGS.latency_chi_square:
+    if float(off @ inverse @ off) < FINDINGS.latency_chi_square:
         return []
     return [
         Diagnosis(Code.NO_LIKELY_LATENCY, _LATENCIES, numbers=("lever_t", "lever_i", "c", "d", "latency"))
@@ -102,12 +107,13 @@ def latencies(machine: Machine, aligner: Aligner) -> list[Diagnosis]:
 @once_for_a_machine
 def _of_latencies(machine: Machine) -> tuple[list[int], Array, Array]:
     """(indices into MOUNTS of the n receivers whose latency is uncertain, (n - 1, n) of what makes their
-    differences, (n - 1, n - 1) covariance of these by the file)."""
+    differences, (n - 1, n - 1) inverse of the covariance of these by the file)."""
     by_mount = {r.mount: r.latency.sd for r in machine.receiver}
     present = [k for k, mount in enumerate(MOUNTS) if by_mount.get(mount, 0.0) > 0.0]
     prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
     differences = np.eye(len(present))[1:] - np.eye(len(present))[:1]
-    return present, differences, differences @ prior[np.ix_(present, present)] @ differences.T
+    covariance = differences @ prior[np.ix_(present, present)] @ differences.T
+    return present, differences, np.linalg.inv(covariance)
 
 
 @once_for_a_machine

@@ -42,7 +42,8 @@ def drift(covariance: Array, places: Places | slice, share: float, prior_sd: Arr
 
     share: as `retained_share`. prior_sd: (n,).
     """
-    covariance[places, :] *= share
-    covariance[:, places] *= share
-    at = np.arange(len(prior_sd))[places]
-    covariance[at, at] += (1.0 - share**2) * prior_sd[places] ** 2
+    factors, variances = np.ones(len(covariance)), np.einsum("ii->i", covariance)
+    factors[places] = share
+    covariance *= factors[:, None]
+    covariance *= factors
+    variances[places] += (1.0 - share**2) * prior_sd[places] ** 2

@@ -92,9 +92,8 @@ def likeliest_change(checkpoints: list[Checkpoint], mean: Array, covariance: Arr
     valid = known & (np.abs(score) > SOIL_CHANGE.least_change * information) & (information > 0.0)
     if not valid.any():
         return None
-    likeliest = np.clip(
-        score / np.where(valid, information, 1.0), -SOIL_CHANGE.most_change, SOIL_CHANGE.most_change
-    )
+    likeliest = score / np.where(valid, information, 1.0)
+    likeliest = np.minimum(np.maximum(likeliest, -SOIL_CHANGE.most_change), SOIL_CHANGE.most_change)
     ratio = np.where(valid, likeliest * (2.0 * score - likeliest * information), 0.0)
     k, d = np.unravel_index(np.argmax(ratio), ratio.shape)
     return Change(float(ratio[k, d]), likeliest[k, d] * DIRECTIONS[d], checkpoints[k])

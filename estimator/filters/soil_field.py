@@ -275,14 +275,18 @@ class _Hypothesis(NamedTuple):
         return np.asarray(cho_solve((self.root, True), told, check_finite=False))
 
 
+_Kinds = dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]
+
+
 class _Near(NamedTuple):
     """What a place has to do with what was told."""
 
-    kinds: dict[tuple[float, Callable[[Array, float], Array]], tuple[Array, Array]]
+    kinds: _Kinds
     """Of each kind of soil: correlation of what was told with each axle's, (r, 3), and of these, (3, 3)."""
-    toward: Array  # as of SoilMemory._toward, (3, 6)
-    alike: tuple[Array, Array]  # as of SoilMemory._alike, of each direction that was told of, (r,)
-    worked: Array  # share of each axle's ground, (3,)
+    level: tuple[Array, Array]
+    """Whatever the soil: covariance of what was told with the six there, (r, 6), and of these, (6, 6), ..."""
+    toward: tuple[Array, Array]  # ... what the direction adds to it for the stiffnesses, (r, 3) and (3, 3),
+    work: tuple[Array, Array]  # and what work does
 
 
 class SoilMemory:
@@ -295,6 +299,7 @@ class SoilMemory:
         self.windows, self.prior_sd, self.variograms = windows, prior_sd[SIX], variograms
         paths = np.array([window.path for window in windows]).reshape(-1, SOIL_FIELD.points, AXLES, 2)
         self._places = paths.transpose(0, 2, 1, 3)  # (windows, 3, points, 2)
+        self._last_place: tuple[Array, tuple[_Kinds, Array]] | None = None  # and its `_of_place`
 
     @cached_property
     def _directions(self) -> tuple[NDArray[np.int64], Array, Array, Array]:
@@ -472,31 +477,45 @@ class SoilMemory:
         return left
 
     def _near(self, place: Array, asked: AskedGround = LAST) -> "_Near":
+        kinds, toward = self._of_place(place)
+        (begin_s, epochs), worked = self._ages, np.zeros(AXLES) if asked.worked is None else asked.worked
+        now_s = begin_s.max(initial=0.0) if asked.t_ns is None else asked.t_ns * 1e-9
+        of, units, _, _ = self._directions
+        cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
+        ages = self._alike(np.array([now_s]), epochs.max(initial=0.0))
+        for alike, changing in zip(ages, self._of_time, strict=True):
+            cross -= units * changing * (1.0 - alike[of])
+        across = SOIL_FIELD.direction**2 * toward
+        by_work = SOIL_FIELD.worked**2 * _OF_AXLES * worked
+        return _Near(
+            kinds, (cross, own), (self._toward @ across.T, toward @ across.T),
+            (self._worked @ by_work, worked[:, None] * by_work),
+        )  # fmt: skip
+
+    def _of_place(self, place: Array) -> tuple[_Kinds, Array]:
+        """`kinds` and `toward` of `_near`. Where the rig is, they are asked for four times a second."""
+        last = self._last_place
+        if last is not None and np.array_equal(last[0], place):
+            return last[1]
         there = place.reshape(1, -1, AXLES, 2).transpose(0, 2, 1, 3)
         apart, own = _apart(self._places, there), _apart(there, there)
         kinds = {
             key: (self._placed @ one.correlation(apart, one.length_m), one.correlation(own, one.length_m))
             for key, one in self._kinds.items()
         }
-        toward = np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64)
-        (begin_s, epochs), worked = self._ages, np.zeros(AXLES) if asked.worked is None else asked.worked
-        now_s = begin_s.max(initial=0.0) if asked.t_ns is None else asked.t_ns * 1e-9
-        of, (by_age, by_both) = self._directions[0], self._alike(np.array([now_s]), epochs.max(initial=0.0))
-        return _Near(kinds, toward, (by_age[of, 0], by_both[of, 0]), worked)
+        found = kinds, np.asarray(np.kron(np.eye(AXLES), _headings(there)), np.float64)
+        self._last_place = place.copy(), found
+        return found
 
     def _with(self, near: "_Near", soil: Variogram) -> tuple[Array, Array]:
         """Covariance of what was told with the six at a place now, (r, 6), and of these, (6, 6)."""
-        _, units, _, _ = self._directions
-        cross, own = units * self.prior_sd**2, np.diag(self.prior_sd**2)
-        for alike, changing in zip(near.alike, self._of_time, strict=True):
-            cross -= units * changing * (1.0 - alike)[:, None]
-        told, there = near.kinds[soil.kind]
-        toward = SOIL_FIELD.direction**2 * near.toward
-        cross[:, :AXLES] += soil.sd**2 * told + self._toward @ toward.T
-        own[:AXLES, :AXLES] += soil.sd**2 * there + near.toward @ toward.T
-        by_work = SOIL_FIELD.worked**2 * _OF_AXLES * near.worked
-        cross[:, :AXLES] += self._worked @ by_work
-        own[:AXLES, :AXLES] += near.worked[:, None] * by_work
+        cross, own = (level.copy() for level in near.level)
+        of_axles = cross[:, :AXLES], own[:AXLES, :AXLES]
+        for part, kind, toward, work in zip(
+            of_axles, near.kinds[soil.kind], near.toward, near.work, strict=True
+        ):
+            part += soil.sd**2 * kind + toward
+            part += work
         return cross, own
 
     def shares(

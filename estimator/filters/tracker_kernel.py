@@ -86,24 +86,31 @@ class RowTally(NamedTuple):
     estimates, and of the expected values of these."""
 
 
-def pack_covariance(estimate: JointEstimate, places: Places) -> Array:
-    """The joint covariance of x and the active unknowns, shape (1, 30 + a, 30 + a): of one filter."""
-    P_xx, P_xtheta, P_theta = estimate.P_xx, estimate.P_xtheta, estimate.P_theta
-    na = places.shape[0]
-    P = np.zeros((N_STATES + na, N_STATES + na))
-    P[:N_STATES, :N_STATES] = P_xx
-    P[:N_STATES, N_STATES:] = P_xtheta[:, places]
-    P[N_STATES:, :N_STATES] = P_xtheta[:, places].T
-    P[N_STATES:, N_STATES:] = P_theta[np.ix_(places, places)]
-    return P.reshape(1, N_STATES + na, N_STATES + na)
+@inner_kernel
+def pack_covariance(estimate: JointEstimate, places: Places, P: Array) -> None:
+    """Fill the joint covariance of x and the active unknowns, (30 + a, 30 + a)."""
+    for i in range(N_STATES):
+        for j in range(N_STATES):
+            P[i, j] = estimate.P_xx[i, j]
+        for j in range(places.shape[0]):
+            P[i, N_STATES + j] = P[N_STATES + j, i] = estimate.P_xtheta[i, places[j]]
+    for i in range(places.shape[0]):
+        for j in range(places.shape[0]):
+            P[N_STATES + i, N_STATES + j] = estimate.P_theta[places[i], places[j]]
 
 
+@inner_kernel
 def unpack_covariance(P: Array, places: Places, estimate: JointEstimate) -> None:
     """The reverse of `pack_covariance`, made symmetric."""
-    P = 0.5 * (P + P.T)
-    estimate.P_xx[:] = P[:N_STATES, :N_STATES]
-    estimate.P_xtheta[:, places] = P[:N_STATES, N_STATES:]
-    estimate.P_theta[np.ix_(places, places)] = P[N_STATES:, N_STATES:]
+    for i in range(N_STATES):
+        for j in range(N_STATES):
+            estimate.P_xx[i, j] = 0.5 * (P[i, j] + P[j, i])
+        for j in range(places.shape[0]):
+            estimate.P_xtheta[i, places[j]] = 0.5 * (P[i, N_STATES + j] + P[N_STATES + j, i])
+    for i in range(places.shape[0]):
+        for j in range(places.shape[0]):
+            both = P[N_STATES + i, N_STATES + j] + P[N_STATES + j, N_STATES + i]
+            estimate.P_theta[places[i], places[j]] = 0.5 * both
 
 
 @inner_kernel
@@ -136,8 +143,8 @@ class SegmentRun(NamedTuple):
     ground: GroundNoise
     tally: RowTally
     by_steering: bool
+    estimate: JointEstimate
     state: JointState
-    instrument: Array  # (30,), as JointEstimate.instrument
     plant: Plant
     step: Transition
     work: UpdateWork
@@ -153,12 +160,12 @@ def segment_run(
     """At the first tick. The arguments are those of `track_segment`."""
     x, unknowns, na = estimate.x, estimate.unknowns, places.shape[0]
     n = N_STATES + na
-    P = pack_covariance(estimate, places)
-    state, H = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P), np.zeros(n)
+    P, H = np.zeros((1, n, n)), np.zeros(n)  # of one filter
+    state = JointState(x, np.zeros(N_STATES), unknowns, places, considered, P)
     step, work = empty_transition(na, na, P.shape[0]), empty_work(P.shape[0], n)
     return SegmentRun(
-        segment, setup, ground, tally, by_steering,
-        state, estimate.instrument, empty_plant(setup, na), step, work,
+        segment, setup, ground, tally, by_steering, estimate,
+        state, empty_plant(setup, na), step, work,
         Expected(np.zeros(N_STATES), np.zeros(N_STATES + N_UNKNOWNS), H, H[N_STATES:]),
         np.zeros(1), np.zeros(1),
     )  # fmt: skip
@@ -174,7 +181,7 @@ def linearise_anew(k: int, u: float, on: SegmentRun) -> None:
         set_processes(u, on.ground, on.setup, step, c)
     linearise(on.state.x, ticks, k, unknowns, plant, step)
     if on.by_steering:
-        jacobian_at_instrument(on.instrument, ticks, k, unknowns, plant, step)
+        jacobian_at_instrument(on.estimate.instrument, ticks, k, unknowns, plant, step)
 
 
 @inline_kernel
@@ -184,10 +191,10 @@ def begin_tick(k: int, on: SegmentRun) -> float:
     drive = drive_at(on.segment.ticks, tick, state.unknowns)
     if k % EVERY == 0:
         linearise_anew(tick, drive.u, on)
-    state_rates(on.instrument, drive, on.plant, step.rates)
-    propagate_mean(on.instrument, drive.u, step, state.following)
+    state_rates(on.estimate.instrument, drive, on.plant, step.rates)
+    propagate_mean(on.estimate.instrument, drive.u, step, state.following)
     for i in range(N_STATES):
-        on.instrument[i] = state.following[i]
+        on.estimate.instrument[i] = state.following[i]
     propagate(state.x, drive, state.unknowns, on.plant, state.places, step, state.following)
     return drive.u
 
@@ -225,6 +232,15 @@ def end_tick(u: float, on: SegmentRun) -> None:
 track_ticks = over_ticks.with_steps(begin_tick=begin_tick, take_row=take_row, end_tick=end_tick)
 
 
+@inner_kernel
+def over_segment(on: SegmentRun) -> None:
+    """From the estimate before a segment to the one after it."""
+    places, P = on.state.places, on.state.P[0]
+    pack_covariance(on.estimate, places, P)
+    track_ticks(on.segment.size, on.segment.rows, on)
+    unpack_covariance(P, places, on.estimate)
+
+
 def track_segment(
     segment: SegmentArrays, estimate: JointEstimate, setup: RigSetup, places: Places, considered: Array,
     ground: GroundNoise, tally: RowTally, by_steering: bool,
@@ -234,6 +250,4 @@ def track_segment(
     places: (a,), indices of the active ones of unknowns.NAMES. considered: (30 + a,), 1.0 for what may not be
     learned. by_steering: whether slopes by the unknowns are those of `propagation.jacobian_at_instrument`.
     """
-    on = segment_run(segment, estimate, setup, places, considered, ground, tally, by_steering)
-    track_ticks(segment.size, segment.rows, on)
-    unpack_covariance(on.state.P[0], places, estimate)
+    over_segment(segment_run(segment, estimate, setup, places, considered, ground, tally, by_steering))

@@ -22,7 +22,7 @@ sd of 0.5.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -384,31 +384,37 @@ def _find_posterior(state: SteadyState) -> None:
     state.log_covariance = covariance + np.diag(learned * room)
 
 
-def identifiability(state: SteadyState, supported: float = ADVICE.supported) -> tuple[int, float | None]:
-    """(rank, condition) of the data's information, without the prior, on the three logarithms.
+class Identifiability(NamedTuple):
+    """What the data alone tell of the three logarithms."""
 
-    A direction counts in the rank if its sd is below the share `supported` of the prior's.
-    """
+    information: Array  # (3, 3)
+    values: Array  # (3,), its eigenvalues over the prior's
+
+    def rank(self, supported: float = ADVICE.supported) -> int:
+        """The number of directions whose sd is below that share of the prior's."""
+        return int(np.sum(self.values > supported**-2 - 1.0))
+
+
+def identifiability(state: SteadyState) -> Identifiability:
+    """By the posterior that there is now."""
     scale = np.outer(state.prior_sd[:3], state.prior_sd[:3])
     information = advice.information_of(state.log_covariance, state.prior_sd[:3])
-    values = np.asarray(np.linalg.eigvalsh(information * scale), np.float64)
-    rank = int(np.sum(values > supported**-2 - 1.0))
-    return rank, condition_number(values)
+    return Identifiability(information, np.asarray(np.linalg.eigvalsh(information * scale), np.float64))
 
 
 def _update_supported(state: SteadyState) -> None:
     """Update which stiffnesses the data support: begins at ADVICE.supported, ends at REPORTING.withdrawn."""
+    of_data = identifiability(state)
     for k, was_supported in enumerate(state.supported):
         limit = REPORTING.withdrawn if was_supported else ADVICE.supported
-        rank, _ = identifiability(state, limit)
         sd = math.sqrt(state.log_covariance[k, k])
-        state.supported[k] = rank == 3 and not exceeds(sd, limit * float(state.prior_sd[k]))
+        state.supported[k] = of_data.rank(limit) == 3 and not exceeds(sd, limit * float(state.prior_sd[k]))
 
 
 def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     """The estimate at t_ns."""
-    rank, condition = identifiability(state)
-    information = advice.information_of(state.log_covariance, state.prior_sd[:3])
+    of_data = identifiability(state)
+    rank, information = of_data.rank(), of_data.information
     bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
     over_sds = _over_masses(state)
@@ -451,7 +457,7 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
             for name in PUBLISHED
         },
         rank=rank,
-        condition=condition,
+        condition=condition_number(of_data.values),
         excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s, "forgotten": state.forgotten},
         window_s=state.steady_s,
         determined=advice.determined(information, state.prior_sd[:3]) if age is not None else (),

@@ -31,8 +31,8 @@ from tilth.estimator.filters.tracker_kernel import (
     JointEstimate,
     RowTally,
     SegmentArrays,
+    over_segment,
     track_segment,
-    track_ticks,
 )
 from tilth.estimator.filters.unknowns import (
     AT,
@@ -164,8 +164,9 @@ class TrackerState(SixState):
 
 
 _USUAL_DISTURBANCE: Final = np.log(np.square([*PRIOR.disturbance, PRIOR.uneven]))  # of the variances
+_GROUNDS: Final = np.arange(4)  # first row of each in RowTally.sums; both bodies' unevenness has one sd
 
-KERNELS: Final = (track_ticks, run_ticks, first_covariance)  # that `take` calls
+KERNELS: Final = (over_segment, run_ticks, first_covariance)  # that `take` calls
 
 
 def initial(machine: Machine) -> TrackerState:
@@ -404,7 +405,7 @@ def _adapt_noise(state: TrackerState, sums: Array) -> None:
     ) / TRACKER.sensor_noise_memory
     stated = np.minimum(np.maximum(state.residual_ratio, TRACKER.low_noise**2), TRACKER.high_noise**2)
     state.mean[AT["s_yaw_rate"] : AT["s_roll"] + 1] = 0.5 * np.log(stated)
-    seen, expected = np.add.reduceat(sums[SENSORS:], range(4), axis=0).T  # both bodies' unevenness has one sd
+    seen, expected = np.add.reduceat(sums[SENSORS:], _GROUNDS, axis=0).T
     ratio = np.minimum(np.maximum(seen / np.maximum(expected, 1e-12), 0.0), TRACKER.largest_disturbance)
     state.segments_adapted += 1
     short = min(

@@ -265,3 +265,17 @@ def test_many_places_at_once_are_as_each_alone() -> None:
         alone = field.at(np.tile(place, (3, 1)))
         np.testing.assert_allclose(mean[k], alone.mean[:3], atol=1e-12)
         np.testing.assert_allclose(covariance[k], alone.covariance[:3, :3], atol=1e-12)
+
+
+def test_what_was_asked_before_changes_no_answer() -> None:
+    """Where the rig is, several things are asked in a row; its places may lie in the same array."""
+    windows = [window(np.full(6, 0.1 * k), 40.0 * k, 6.0 * k, k=k) for k in range(6)]
+    field, asked, place = SoilMemory(windows, PRIOR_SD), AskedGround(worked=np.ones(3)), rig_at(0.0, 0.0)
+    for north in (0.0, 90.0, 0.0):
+        place[:] = rig_at(north, 6.0)
+        for ground in (AskedGround(), asked):
+            fresh = SoilMemory(windows, PRIOR_SD).at(place, ground)
+            found = field.at(place, ground)
+            assert np.array_equal(found.mean, fresh.mean)
+            assert np.array_equal(found.covariance, fresh.covariance)
+        assert np.array_equal(field.elsewhere(place), SoilMemory(windows, PRIOR_SD).elsewhere(place))

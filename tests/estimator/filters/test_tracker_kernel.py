@@ -28,8 +28,9 @@ from tilth.estimator.filters.states import (
     X_UNEVEN,
     X_V,
 )
+from tilth.estimator.filters.tracker_kernel import JointEstimate, pack_covariance, unpack_covariance
 from tilth.estimator.filters.transition import empty_transition
-from tilth.estimator.filters.unknowns import AT, SIX
+from tilth.estimator.filters.unknowns import AT, N_UNKNOWNS, SIX
 from tilth.estimator.models import nonlinear
 from tilth.estimator.models.parameters import GEOMETRY
 
@@ -57,6 +58,25 @@ def bank_matrix(speed: float) -> Array:
         [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0],
         [-(own**2), 0.0, -2.0 * own, 0.0], [behind**2, -(behind**2), 0.0, -2.0 * behind],
     ])  # fmt: skip
+
+
+def test_the_joint_covariance_comes_back_as_it_was_and_leaves_alone_what_is_not_active() -> None:
+    rng, n = np.random.default_rng(1), N_STATES + N_UNKNOWNS
+    root = rng.normal(size=(n, n))
+    whole, x, unknown = root @ root.T, slice(0, N_STATES), slice(N_STATES, n)
+    blocks = (whole[x, x].copy(), whole[x, unknown].copy(), whole[unknown, unknown].copy())
+    estimate = JointEstimate(np.zeros(N_STATES), np.zeros(N_UNKNOWNS), *blocks, np.zeros(N_STATES))
+    places = np.array([0, 5, 41, N_UNKNOWNS - 1])
+    at = np.concatenate([np.arange(N_STATES), N_STATES + places])
+    P = np.zeros((len(at), len(at)))
+    pack_covariance.interpreted()(estimate, places, P)
+    assert np.array_equal(P, whole[np.ix_(at, at)])
+    skew = np.triu(rng.normal(size=P.shape), 1)  # what rounding leaves: halved on both sides
+    unpack_covariance.interpreted()(P + skew, places, estimate)
+    whole[np.ix_(at, at)] = 0.5 * ((P + skew) + (P + skew).T)
+    assert np.array_equal(estimate.P_xx, whole[x, x])
+    assert np.array_equal(estimate.P_xtheta, whole[x, unknown])
+    assert np.array_equal(estimate.P_theta, whole[unknown, unknown])
 
 
 def test_the_implement_meets_the_cross_slope_of_the_tractor_where_its_wheels_come_to_it() -> None:
