@@ -1,4 +1,5 @@
 """Makes the Debian package: `uv run python -m tilth.deploy.package OUT`, on a computer like those it is for.
+For another kind of processor, of wheels that were made before (`--wheels`), on any.
 
 It carries wheels of all that Tilth needs, compiled kernels among them, and the installer of install.py, which
 the package's scripts call: no network is needed, and releases, roll-back and hardening stay one mechanism.
@@ -20,6 +21,7 @@ HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent
 SCRIPTS = ("postinst", "prerm", "postrm", "config")
 HOME = "usr/lib/tilth"
+ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}  # as wheels and as Debian name them
 CHANGES = """tilth ({version}) unstable; urgency=medium
 
   * What has changed is told in changelog.gz.
@@ -63,7 +65,7 @@ def debian_package(wheels: Path, tree: Path, out: Path) -> Path:
     (own,) = wheels.glob("tilth-*.whl")
     version = f"{own.name.split('-')[1]}-1"
     made_s = commit_s()
-    architecture = _said("dpkg", "--print-architecture")
+    architecture = ARCHITECTURES[own.stem.partition("-linux_")[2]]
     shutil.copytree(wheels, tree / HOME / "wheels")
     _put(tree / HOME / "install.py", (HERE / "install.py").read_bytes(), 0o755)
     documents = tree / "usr/share/doc/tilth"

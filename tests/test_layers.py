@@ -48,7 +48,16 @@ ROOMS = {
 }
 """Of each folder, in the order of imports; "" is the folder itself."""
 UNDER_ALL = {
-    "estimator": ("compiled", "driving", "kernel_digest", "kernel_store", "once", "state_json", "tuning"),
+    "estimator": (
+        "compiled",
+        "driving",
+        "kernel_digest",
+        "kernel_store",
+        "once",
+        "state_json",
+        "ties",
+        "tuning",
+    ),
     "logger": ("clock", "back_off"),
     "simulator": ("scenario",),
 }

@@ -39,9 +39,11 @@ REPORTING: Final = ReportingTuning()
 
 
 def condition_number(eigenvalues: NDArray[np.floating[Any]]) -> float | None:
-    """Largest over smallest of an information's; None where a direction is not determined at all."""
+    """Largest over smallest of an information's, relative to the prior's; None where a direction is not
+    determined at all: before any data all are rounding."""
     largest, smallest = float(eigenvalues.max()), float(eigenvalues.min())
-    return largest / smallest if exceeds(smallest * REPORTING.worst_condition, largest) else None
+    least = max(largest / REPORTING.worst_condition, ADVICE.least_information)
+    return largest / smallest if exceeds(smallest, least) else None
 
 
 def age_s(informed_ns: int, t_ns: int) -> float | None:

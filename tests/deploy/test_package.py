@@ -51,6 +51,16 @@ def test_it_carries_the_wheel_the_installer_and_scripts_that_a_shell_can_read(
     assert owners == {"root/root"}
 
 
+@needs_dpkg
+@pytest.mark.parametrize(("processor", "architecture"), [("x86_64", "amd64"), ("aarch64", "arm64")])
+def test_it_is_for_the_processor_of_the_wheel(processor: str, architecture: str, tmp_path: Path) -> None:
+    (tmp_path / "wheels").mkdir()
+    (tmp_path / f"wheels/tilth-0.1.0-py3-none-linux_{processor}.whl").touch()
+    made = debian_package(tmp_path / "wheels", tmp_path / "tree", tmp_path)
+    assert made.name == f"tilth_0.1.0-1_{architecture}.deb"
+    assert said("dpkg-deb", "--field", made, "Architecture").strip() == architecture
+
+
 @pytest.mark.long
 @needs_dpkg
 @pytest.mark.skipif(shutil.which("lintian") is None, reason="no lintian here")
