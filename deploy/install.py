@@ -226,6 +226,7 @@ def prepare(box: Box, source: Path) -> Path:
         raise
     os.sync()
     box.point("next", release)
+    _remove_unused(box)  # one that was prepared before
     return release
 
 
@@ -257,7 +258,7 @@ def take_back(box: Box) -> None:
     _activate(box, before)
     box.point("previous", None)
     _start(box)
-    shutil.rmtree(release)
+    _remove_unused(box)
 
 
 def uninstall(box: Box, args: argparse.Namespace) -> None:
