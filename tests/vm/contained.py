@@ -45,7 +45,7 @@ def with_systemd(command: Sequence[str], out: Path, seconds: float = 600.0) -> N
     environment = {**os.environ, "OUT": str(out), "HOME": "/root"}
     with (out / "console.txt").open("wb") as console:
         done = subprocess.run(
-            [*spaces, "bash", "-e", str(script), *command], stdout=console, stderr=console, env=environment,
+            [*spaces, str(script), *command], stdout=console, stderr=console, env=environment,
             stdin=subprocess.DEVNULL, timeout=seconds, check=False,
         )  # fmt: skip
     said = (out / "console.txt").read_text(errors="replace")

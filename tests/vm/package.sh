@@ -3,7 +3,7 @@
 # needs, where the packages bring Tilth alone. $TRIAL_S: of an update.
 ready() { for _ in $(seq "$1"); do if eval "$2"; then return 0; fi; sleep 1; done; return 1; }
 state() { systemctl show tilth --property=ActiveState,NRestarts,StatusText; }
-records() { ready 120 "state | grep -E 'StatusText=(recording|ignition)'"; }
+records() { ready 120 "state | grep -E 'StatusText=(recording|ready)'"; }
 version() { readlink -f "/opt/tilth/$1/lib/python3"*/site-packages/tilth-*.dist-info | sed 's/.*tilth-\(.*\).dist-info/\1/'; }
 is() { test "$(version current)" = "$1"; }
 brought() { rm -f /var/lib/tilth-updates/*; cp $OUT/$1/tilth_* /var/lib/tilth-updates/; }
@@ -59,7 +59,7 @@ records
 tilth-setup machine $OUT/resting.toml
 records
 for one in crashes silent; do
-    ready 120 "state | grep StatusText=ignition" || true
+    ready 120 "state | grep StatusText=ready" || true
     brought $one
     look
     is 9.1.0 && records

@@ -65,7 +65,7 @@ def judge(out: Path) -> None:
     assert [e.text for e in told if e.kind == EventKind.UPDATE] == [entry["text"] for entry in news]
 
 
-@pytest.mark.vm
+@pytest.mark.vm_systemd
 @pytest.mark.skipif(contained.missing() != "", reason=contained.missing())
 def test_the_package_from_installed_to_purged(tmp_path: Path, wheel: Path) -> None:
     stage(tmp_path, wheel)
