@@ -230,6 +230,7 @@ def prepare(box: Box, source: Path) -> Path:
         raise
     os.sync()
     box.point("next", release)
+    remove_unused(box)  # one that was prepared before
     return release
 
 
@@ -261,7 +262,7 @@ def take_back(box: Box) -> None:
     _activate(box, before)
     box.point("previous", None)
     _start(box)
-    shutil.rmtree(release)
+    remove_unused(box)
 
 
 def uninstall(box: Box, args: argparse.Namespace) -> None:
@@ -325,7 +326,7 @@ def adapter_rule(properties: dict[str, str], port: str, name: str) -> str:
 def _new_release(box: Box, source: Path, wheels: Path | None) -> Path:
     """An environment with the software of a wheel, a folder of wheels or a checkout. Raises Failed."""
     wheel, offline = _wheel_of(source, wheels)
-    _remove_unused(box)
+    remove_unused(box)
     used = [int(path.name) for path in box.releases.glob("*") if path.name.isdigit()]
     release = box.releases / str(max(used, default=0) + 1)
     release.mkdir(parents=True)
@@ -350,7 +351,7 @@ def _new_release(box: Box, source: Path, wheels: Path | None) -> Path:
     return release
 
 
-def _remove_unused(box: Box) -> None:
+def remove_unused(box: Box) -> None:
     """Releases that nothing points to: of before, or left by a power cut."""
     used = [box.release(link) for link in ("current", "previous", "next", "keeper")]
     for path in box.releases.glob("*"):
@@ -425,7 +426,7 @@ def _switch(box: Box, release: Path) -> None:
         box.point("previous", older or before)
         _start(box)
         raise Failed(f"{release.name} does not start, {before.name} runs again; see journalctl -u {SERVICE}")
-    _remove_unused(box)
+    remove_unused(box)
     print(f"tilth {version_of(release)} (release {release.name}) is current")
 
 

@@ -302,6 +302,7 @@ def main(words: Sequence[str] | None = None) -> int:
             if args.boot:
                 apply(box, updates, start=False)
                 return 0
+            install.remove_unused(box)  # what a power cut has left
             if on_trial(box):
                 watch(box, updates)
             if args.stick is not None:
