@@ -61,6 +61,12 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="INTERFACE:CHANNEL[,key=value…]",
         help="to listen to; else every CAN interface of this computer",
     )
+    parser.add_argument(
+        "--in-use",
+        type=Path,
+        metavar="FILE",
+        help="the machine file that is used by now, where it is another",
+    )
     add_daemon(parser)
     add_address(parser, PORT)
 
@@ -83,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         stack.callback(heard.close)
         view = View(heard, str(args.config or args.connect))
         view.tell(SETUP, {})
-        first = MadeHere(args.file, buses, heard, view)
+        first = MadeHere(args.file, args.in_use or args.file, buses, heard, view)
         stack.callback(first.close)
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         with suppress(KeyboardInterrupt):
@@ -124,15 +130,15 @@ def _say_where(host: str, port: int, code: str) -> None:
 class MadeHere:
     """A machine file that is made of what is heard here. From several threads."""
 
-    def __init__(self, path: Path, buses: Sequence[Bus], heard: DaemonData, view: View) -> None:
+    def __init__(self, path: Path, in_use: Path, buses: Sequence[Bus], heard: DaemonData, view: View) -> None:
         """buses: empty for every CAN interface of this computer."""
-        self._path, self._given, self._heard, self._view = path, buses, heard, view
+        self._path, self._in_use, self._given, self._heard, self._view = path, in_use, buses, heard, view
         self._listening: BusListening | None = None
         self._found = Findings(0, 0.0, (), (), ())
 
     @property
     def is_first(self) -> bool:
-        return not self._path.exists()
+        return not (self._path.exists() or self._in_use.exists())
 
     def close(self) -> None:
         if self._listening is not None:

@@ -15,8 +15,10 @@ import fcntl
 import os
 import pwd
 import shutil
+import stat
 import subprocess
 import sys
+import tempfile
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +31,10 @@ TIMER = "tilth-update.timer"
 PLACES = (
     ("tilth.service", "etc/systemd/system/tilth.service"),
     ("tilth-can@.service", "etc/systemd/system/tilth-can@.service"),
+    ("tilth-page.service", "etc/systemd/system/tilth-page.service"),
+    ("tilth-take.path", "etc/systemd/system/tilth-take.path"),
+    ("tilth-take.service", "etc/systemd/system/tilth-take.service"),
+    ("tilth-hotspot.service", "etc/systemd/system/tilth-hotspot.service"),
     ("80-tilth-can.rules", "etc/udev/rules.d/80-tilth-can.rules"),
     ("tilth-update.service", "etc/systemd/system/tilth-update.service"),
     ("tilth-update.timer", "etc/systemd/system/tilth-update.timer"),
@@ -48,11 +54,19 @@ SCALE_DBC, IMPLEMENT_FILES = "implement.load.weighing.dbc", "implements.files"  
 NEXT = "`tilth discover` drafts a machine file, `sudo tilth-setup machine FILE` takes it"
 WHEELS = Path(__file__).resolve().with_name("wheels")  # what the Debian package brings
 PYTHON = Path(sys.base_prefix, "bin", f"python3.{sys.version_info.minor}")  # has pip; a release has none
+FOR_PHONES = ("tilth-page.service", "tilth-take.path", "tilth-take.service", "tilth-hotspot.service")
+LOGS = "var/lib/tilth/logs"
+LARGEST = 1 << 20  # bytes of a machine file that was saved on the page
+RECORDING = 75  # exit status: try again later
 NOT_REMOVED = ("etc/tilth", "var/lib/tilth")  # what `uninstall` leaves
 
 
 class Failed(Exception):
     """What is wrong and what to do, in one sentence. Nothing has changed."""
+
+
+class RunGoesOn(Failed):
+    """A run is being recorded."""
 
 
 class Box:
@@ -156,6 +170,77 @@ def machine(box: Box, args: argparse.Namespace) -> None:
             _start(box)
         raise
     before.unlink(missing_ok=True)
+
+
+def phone(box: Box, args: argparse.Namespace) -> None:
+    """Let a phone in that has the code. Raises Failed."""
+    release = box.release("current")
+    if release is None:
+        raise Failed("nothing is installed yet; say install")
+    words = [] if args.label is None else [str(args.label)]
+    words += ["--root", str(box.root), *(["--hotspot"] if args.hotspot else [])]
+    if subprocess.run(
+        [str(release / "bin/python"), "-P", "-m", "tilth.deploy.phone", *words], check=False
+    ).returncode:
+        raise Failed("no phone is let in, see above")
+    box.run("systemctl", "daemon-reload")
+    box.run("nmcli", "connection", "reload", fail=False)
+    box.run("systemctl", "enable", "--quiet", *FOR_PHONES)
+    box.run("udevadm", "trigger", "--action=add", "--subsystem-match=net", fail=False)
+    box.run("systemctl", "restart", "tilth-page.service", "tilth-take.path")
+    box.run("systemctl", "start", "--no-block", "tilth-hotspot.service", fail=False)
+
+
+def take(box: Box, args: argparse.Namespace) -> None:
+    """Let the recorder use a machine file that the page has saved, once it records no run. Raises Failed.
+
+    Who serves the page may have put anything there: it is read once, and checked as the recorder's user.
+    """
+    release, place = box.release("current"), box.at(MACHINE)
+    if release is None:
+        raise Failed("nothing is installed yet; say install")
+    content = _plain(args.machine)
+    if place.exists() and place.read_bytes() == content:
+        print("it is in use already")
+        return
+    if is_recording(box):
+        raise RunGoesOn("a run is being recorded; the machine file is taken when that has ended")
+    box.run("systemd-sysusers", "/etc/sysusers.d/tilth.conf")
+    with tempfile.TemporaryDirectory(prefix="tilth-take-") as folder:
+        copy = Path(folder) / Path(MACHINE).name
+        copy.write_bytes(content)
+        for path, mode in ((Path(folder), 0o755), (copy, 0o644)):
+            path.chmod(mode)
+        _check_machine(release, copy, **_as_recorder(box))
+        if place.exists():
+            _put(place, place.with_name(f"{place.name}.before"))
+        args.machine, args.keys = copy, None
+        machine(box, args)
+
+
+def _plain(path: Path) -> bytes:
+    """Of a plain file, through no link. Raises Failed."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise Failed(f"{path}: {(error.strerror or str(error)).lower()}") from None
+    with os.fdopen(descriptor, "rb") as stream:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST:
+            raise Failed(f"{path}: is no machine file")
+        return stream.read(LARGEST)
+
+
+def is_recording(box: Box) -> bool:
+    """Whether a log is being written, from the start of the recorder, or the first frame, to ignition off: the
+    recorder locks it."""
+    for path in box.at(LOGS).glob("*.mcap"):
+        with path.open("rb") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+    return False
 
 
 def _take(box: Box, args: argparse.Namespace, beside: Sequence[Path]) -> None:
@@ -267,7 +352,7 @@ def take_back(box: Box) -> None:
 
 def uninstall(box: Box, args: argparse.Namespace) -> None:
     """Remove all but configuration and logs."""
-    for unit in (TIMER, "tilth-update-boot.service", SERVICE):
+    for unit in (TIMER, "tilth-update-boot.service", *FOR_PHONES, SERVICE):
         box.run("systemctl", "disable", "--now", unit, fail=False)
     for _, place in PLACES:
         box.at(place).unlink(missing_ok=True)
@@ -400,13 +485,14 @@ except MachineError as error:
 """
 
 
-def _check_machine(release: Path, machine: Path) -> None:
-    """Whether this release understands the machine file. Raises Failed."""
+def _check_machine(release: Path, machine: Path, **user: Any) -> None:
+    """Whether this release understands the machine file. user: of subprocess.run. Raises Failed."""
     done = subprocess.run(
         [str(release / "bin/python"), "-P", "-c", _READ, str(machine)],
         capture_output=True,
         text=True,
         check=False,
+        **user,
     )
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1:] or ["no reason given"]
@@ -455,6 +541,7 @@ def _start(box: Box) -> bool:
     box.run("systemctl", "daemon-reload")
     box.run("udevadm", "control", "--reload", fail=False)
     box.run("udevadm", "trigger", "--action=add", "--subsystem-match=net", fail=False)
+    box.run("systemctl", "restart", "tilth-can@*.service", fail=False)  # a bit rate may be another one
     box.run("systemctl", "enable", "--quiet", SERVICE, "tilth-update-boot.service")
     box.run("systemctl", "enable", "--quiet", "--now", TIMER)
     _compile(box, box.release("current"))
@@ -469,9 +556,8 @@ def _compile(box: Box, release: Path | None) -> None:
     kernels = box.at(KERNELS)
     assert release is not None
     kernels.mkdir(parents=True, exist_ok=True)
-    user: dict[str, Any] = {}
+    user = _as_recorder(box)
     if box.real:
-        user = {"user": "tilth", "group": "tilth", "extra_groups": []}
         shutil.chown(kernels, "tilth", "tilth")
     done = subprocess.run(
         [str(release / "bin/python"), "-P", "-m", "tilth.logger.compiling", str(box.at(MACHINE))],
@@ -482,6 +568,11 @@ def _compile(box: Box, release: Path | None) -> None:
     )
     if done.returncode:
         print("compiling in advance failed, see above; the first estimates will come later")
+
+
+def _as_recorder(box: Box) -> dict[str, Any]:
+    """For subprocess.run: its user, where there is one."""
+    return {"user": "tilth", "group": "tilth", "extra_groups": []} if box.real else {}
 
 
 def _put(source: Path, target: Path, mode: int = 0o644) -> None:
@@ -514,6 +605,8 @@ def version_of(release: Path) -> str:
 COMMANDS: tuple[tuple[str, Callable[[Box, argparse.Namespace], None], str], ...] = (
     ("install", install, "put it on this computer and start it, now and at each ignition"),
     ("machine", machine, "record another rig, or this one by a corrected machine file"),
+    ("phone", phone, "let a phone in that has the code of a label, also to make the machine file"),
+    ("take", take, "record by the machine file that the page has saved, once no run is recorded"),
     ("upgrade", upgrade, "run another release; the one before stays for rollback"),
     ("rollback", rollback, "run the release before this one"),
     ("uninstall", uninstall, "remove it; logs, keys and machine file stay"),
@@ -523,7 +616,7 @@ COMMANDS: tuple[tuple[str, Callable[[Box, argparse.Namespace], None], str], ...]
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """0 done, 1 failed with nothing changed, 2 wrong use."""
+    """0 done, 1 failed with nothing changed, 2 wrong use, 75 a run is recorded: later."""
     parser = argparse.ArgumentParser(prog="tilth-setup", description="Tilth on this computer.")
     parser.add_argument("--root", type=Path, default=Path("/"), help="a folder instead of this computer")
     subparsers = parser.add_subparsers(dest="command", required=True)
@@ -536,7 +629,13 @@ def main(words: Sequence[str] | None = None) -> int:
             one.add_argument("--wheels", type=Path, help="folder with all that it needs: no network then")
         if name == "install":
             one.add_argument("--machine", type=Path, help="the machine file, in place of one that is there")
-        if name == "machine":
+        if name == "phone":
+            label_help = "file with code and network, on a stick say; written where it is not there"
+            one.add_argument("label", nargs="?", type=Path, metavar="LABEL.toml", help=label_help)
+            one.add_argument(
+                "--hotspot", action="store_true", help="it may open a network until there is a machine file"
+            )
+        if name in ("machine", "take"):
             one.add_argument("machine", type=Path, help="the machine file, in place of one that is there")
         if name in ("install", "machine"):
             one.add_argument("--keys", type=Path, help="daemon.json of `tilth keys`, for a shared network")
@@ -553,7 +652,7 @@ def main(words: Sequence[str] | None = None) -> int:
             next(run for name, run, _ in COMMANDS if name == args.command)(box, args)
     except Failed as error:
         print(f"tilth-setup: {error}", file=sys.stderr)
-        return 1
+        return RECORDING if isinstance(error, RunGoesOn) else 1
     except OSError as error:
         print(f"tilth-setup: {error.filename}: {(error.strerror or str(error)).lower()}", file=sys.stderr)
         return 1

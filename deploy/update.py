@@ -23,10 +23,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.deploy import install
-from tilth.deploy.install import Box, Failed
+from tilth.deploy.install import Box, Failed, is_recording
 from tilth.deploy.minisign import ForgedError, FormError, Keys, read_key, read_signature, verify
 from tilth.logger.log import whole_file
-from tilth.logger.log.lock import is_being_written
 from tilth.logger.update_news import STATE
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.sentences import notice_sentence
@@ -34,7 +33,6 @@ from tilth.schemas.sentences import notice_sentence
 FOLDER: Final = "var/lib/tilth-updates"  # that rsync fills
 KEYS: Final = "etc/tilth/update-keys"  # *.pub; `revoked`: ids, one a line
 OWN_KEYS: Final = Path(__file__).with_name("update_keys")  # that this release was published with
-LOGS: Final = "var/lib/tilth/logs"
 INCOMING: Final = "opt/tilth/incoming"
 TRIAL_S: Final = 60.0
 ENDINGS: Final = 3
@@ -197,15 +195,6 @@ def newest_of(box: Box, updates: Updates) -> str:
 def is_newer(version: str, other: str) -> bool:
     """By Debian's order."""
     return subprocess.run(["dpkg", "--compare-versions", version, "gt", other], check=False).returncode == 0
-
-
-def is_recording(box: Box) -> bool:
-    """Whether a log is being written: from the start of the recorder, or the first frame, to ignition off."""
-    for path in box.at(LOGS).glob("*.mcap"):
-        with path.open("rb") as file:
-            if is_being_written(file):
-                return True
-    return False
 
 
 def apply(box: Box, updates: Updates, *, start: bool = True) -> None:

@@ -9,6 +9,7 @@ import hmac
 import secrets
 import time
 from collections.abc import Callable
+from functools import cached_property
 from typing import Final
 
 LETTERS: Final = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"  # none looks like another, and people mistake none
@@ -45,8 +46,11 @@ class EntryCode:
         if len(self._code) < SHORTEST or not set(as_read(code)) <= set(LETTERS):
             raise ValueError(f"a code has {SHORTEST} letters and digits or more")
         self._tries: dict[str, float] = {}
-        # A cookie holds also after a restart, and is worth nothing to who wants to find the code by trying.
-        self._seal = hashlib.scrypt(self._code, salt=b"tilth entry", n=2**14, r=8, p=1)
+
+    @cached_property
+    def _seal(self) -> bytes:
+        """A cookie holds also after a restart, and is worth nothing to who would find the code by trying."""
+        return hashlib.scrypt(self._code, salt=b"tilth entry", n=2**14, r=8, p=1)
 
     def knows(self, cookie: str) -> bool:
         """Whether that is of somebody who has brought this code, to this server or one before it."""

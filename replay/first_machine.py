@@ -38,7 +38,7 @@ FEWEST_STEPS: Final = 16  # of the word, from stop to stop
 FIRST: Final = "# Made by `tilth setup`, of what was heard, measured and weighed.\n"
 
 
-class Answered(NamedTuple):
+class JudgedAnswer(NamedTuple):
     """What is wrong with an answer, or rare. field: "" where no single one is meant."""
 
     field: str
@@ -51,13 +51,13 @@ class _Form:
     """Reads answers, and notes what is wrong with them."""
 
     answers: Mapping[str, str]
-    wrong: list[Answered] = field(default_factory=list)
+    wrong: list[JudgedAnswer] = field(default_factory=list)
 
     def text(self, name: str) -> str:
         return self.answers.get(name, "").strip()
 
     def refuse(self, name: str, text: str) -> None:
-        self.wrong.append(Answered(name, text, True))
+        self.wrong.append(JudgedAnswer(name, text, True))
 
     def optional(self, name: str) -> float | None:
         """None where nothing was written."""
@@ -92,7 +92,7 @@ class _Form:
 
 def machine_text(
     answers: Mapping[str, str], findings: Findings, buses: Sequence[Bus]
-) -> tuple[str, list[Answered]]:
+) -> tuple[str, list[JudgedAnswer]]:
     """The machine file, and what is wrong or rare: the text is whole where nothing of it is refused."""
     form = _Form(answers)
     values: dict[str, dict[str, tuple[str, str]]] = {"machine": {"name": (toml_text(form.text("name")), "")}}
@@ -147,7 +147,7 @@ def _weight(form: _Form, name: str, part: str, usual: Quantity) -> BodyWeight:
     """part: of the field with what stands on the front axle or on the hitch, kg."""
     mass, share_sd = form.positive(name), form.chosen(f"{name}.how", WEIGHED)
     ahead = form.optional(part)
-    if ahead is None:
+    if ahead is None or any(one.field == name for one in form.wrong):
         return BodyWeight(Quantity(value=mass, sd=share_sd * mass), usual)
     if not 0 < ahead < mass:
         form.refuse(part, f"{ahead:g} kg: it is a part of the {mass:g} kg above")
@@ -250,12 +250,12 @@ _FIELDS: Final[Mapping[str, str]] = {
 """Key of the machine file -> the field of the page."""
 
 
-def _judged(text: str, receivers: Sequence[int]) -> list[Answered]:
+def _judged(text: str, receivers: Sequence[int]) -> list[JudgedAnswer]:
     """What the machine file says of itself. receivers: their numbers on the page, in the file's order."""
     try:
         machine = parse_machine(text, plausible=False)
     except MachineError as error:
-        return [Answered(_field(str(error), _no_receiver), str(error), True)]
+        return [JudgedAnswer(_field(str(error), _no_receiver), str(error), True)]
     numbers = {r.mount.value: number for r, number in zip(machine.receiver, receivers, strict=True)}
 
     def receiver(said: str) -> str:
@@ -265,9 +265,9 @@ def _judged(text: str, receivers: Sequence[int]) -> list[Answered]:
     return list(_doubted(machine, receiver))
 
 
-def _doubted(machine: Machine, receiver: Callable[[str], str]) -> Iterator[Answered]:
+def _doubted(machine: Machine, receiver: Callable[[str], str]) -> Iterator[JudgedAnswer]:
     for doubt in doubts(machine):
-        yield Answered(_field(doubt.text, receiver), doubt.text, doubt.refused)
+        yield JudgedAnswer(_field(doubt.text, receiver), doubt.text, doubt.refused)
 
 
 def _no_receiver(said: str) -> str:

@@ -1,5 +1,6 @@
 """From a wheel to a computer that records, and back: the installer for real, in a folder for a computer."""
 
+import fcntl
 import os
 import re
 import shutil
@@ -15,7 +16,8 @@ from tilth.deploy import can_up
 from tilth.deploy.install import KERNELS, Failed, _files_beside, adapter_rule
 
 SYSTEM = ROOT / "deploy" / "system"
-UNITS = ("tilth.service", "tilth-can@.service")
+UNITS = ("tilth.service", "tilth-can@.service", "tilth-page.service")
+FOR_PHONES = ("tilth-take.service", "tilth-take.path", "tilth-hotspot.service")  # root's own, no server
 EXPOSED = 2.5  # of 10: the most that `systemd-analyze security` may find
 
 
@@ -42,8 +44,9 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     assert (box.root / "etc/tilth/daemon.json").stat().st_mode & 0o777 == 0o640
     assert box.tilth("--help").returncode == 0
     assert (box.root / KERNELS).is_dir() and "in advance failed" not in result.stdout + result.stderr
-    for name in UNITS:
+    for name in (*UNITS, *FOR_PHONES):
         assert (box.root / "etc/systemd/system" / name).read_text() == (SYSTEM / name).read_text()
+    expect_a_page(box, tmp_path)
     log = box.root / "var/lib/tilth/logs/a.mcap"
     log.parent.mkdir(parents=True)
     log.write_text("a season")
@@ -72,6 +75,44 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     }  # fmt: skip
 
 
+def expect_a_page(box: Box, tmp_path: Path) -> None:
+    """With a label; what it saves is taken as soon as no run is recorded."""
+    stick = tmp_path / "label.toml"
+    result = box.setup("phone", stick)
+    assert result.returncode == 0 and "page        port 8117, code " in result.stdout, result.stderr
+    assert (box.root / "etc/tilth/label.toml").read_text() == stick.read_text()
+    installed, log = box.root / "etc/tilth/machine.toml", box.root / "var/lib/tilth/logs/now.mcap"
+    before, saved = installed.read_text(), tmp_path / "saved" / "machine.toml"
+    saved.parent.mkdir()
+    saved.write_text(before)
+    assert "in use already" in box.setup("take", saved).stdout
+    saved.write_text(before.replace("jd7930-parker500", "other"))
+    log.parent.mkdir(parents=True)
+    with log.open("w") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        result = box.setup("take", saved)
+        assert result.returncode == 75 and "is being recorded" in result.stderr
+    assert installed.read_text() == before
+    for text, says in (
+        ("[tractor", "does not take the machine file"),
+        ("#" * 2_000_000, "is no machine file"),
+    ):
+        bad = tmp_path / "bad.toml"
+        bad.write_text(text)
+        result = box.setup("take", bad)
+        assert result.returncode == 1 and says in result.stderr, result.stderr
+    link = tmp_path / "link.toml"
+    link.symlink_to(saved)
+    assert box.setup("take", link).returncode == 1 and installed.read_text() == before
+    result = box.setup("take", saved)
+    assert result.returncode == 0, result.stderr
+    kept = installed.with_name("machine.toml.before")
+    assert (installed.read_text(), kept.read_text()) == (saved.read_text(), before)
+    kept.replace(installed)
+    shutil.rmtree(log.parent)
+    (box.root / "etc/tilth/label.toml").unlink()
+
+
 @pytest.mark.cold
 @pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
 def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path) -> None:
@@ -90,9 +131,9 @@ def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path)
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze")
-@pytest.mark.parametrize("name", UNITS)
+@pytest.mark.parametrize("name", [*UNITS, *FOR_PHONES])
 def test_systemd_understands_the_unit_and_finds_little_exposed(name: str, tmp_path: Path) -> None:
-    for unit in UNITS:  # what they start is not here
+    for unit in (*UNITS, *FOR_PHONES):  # what they start is not here
         text = (SYSTEM / unit).read_text()
         (tmp_path / unit).write_text(re.sub("(?m)^ExecStart=[^ ]*", "ExecStart=/bin/true", text))
     done = subprocess.run(
@@ -102,6 +143,8 @@ def test_systemd_understands_the_unit_and_finds_little_exposed(name: str, tmp_pa
         check=False,
     )
     assert done.returncode == 0 and done.stderr == ""
+    if name in FOR_PHONES:
+        return
     score = ["systemd-analyze", "security", "--offline=true", f"--threshold={EXPOSED * 10:.0f}"]
     done = subprocess.run([*score, str(tmp_path / name)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout

@@ -65,13 +65,13 @@ def test_a_release_that_records_is_kept_and_said_and_one_that_does_not_is_taken_
     stick = tmp_path / "stick"
     KEY.sign(release_of(wheel, stick, "9.0.0"))
     look = ["--root", str(box.root), str(stick)]
-    logs = box.root / update.LOGS
+    logs = box.root / install.LOGS
     logs.mkdir(parents=True)
     run = ["run", str(box.root / install.MACHINE), "--log", str(logs), "--no-zenoh", "--plain"]
 
     # While the one before records, it is prepared and waits.
     with Recorder(box, *run) as before:
-        until(lambda: update.is_recording(install.Box(box.root)), before.poll)
+        until(lambda: install.is_recording(install.Box(box.root)), before.poll)
         assert update.main(look) == 0
         assert (version(box), version(box, "next")) == ("0.1.0", "9.0.0")
         assert codes(box) == [NoticeCode.UPDATE_READY]
