@@ -14,7 +14,7 @@ import pytest
 from logs import MACHINE
 from soil_drives import ORIGIN_DEG, degrees_apart_m, driven, two_soils
 
-from tilth.analysis.season.field_map import MapFeature, mapped
+from tilth.analysis.season.field_map import STIFFNESSES, MapFeature, mapped
 from tilth.analysis.season.kept_table import RigStretches
 from tilth.analysis.season.map_files import facts_of, write_geojson, write_geoparquet
 
@@ -86,6 +86,11 @@ def test_gdal_which_qgis_opens_files_with_has_all_of_it_at_its_place(
     )
     assert f"Feature Count: {len(features)}" in about.stdout and "Geometry: Polygon" in about.stdout
     assert 'ID["EPSG",4326]' in about.stdout and not about.stderr
+    assert re.findall(r"^Layer name: (.*)$", about.stdout, re.M) == ["m"]
+    kinds = dict(re.findall(r"^(\w+): (\w+) \(", about.stdout, re.M))
+    assert kinds["field"] == "Integer" and {kinds["kind"], kinds["run"], kinds["C_af_status"]} == {"String"}
+    assert {kinds[f"{name}{what}"] for name in STIFFNESSES for what in ("", "_log_sd")} == {"Real"}
+    assert {kinds["begin_utc"], kinds["end_utc"]} == {"DateTime"}
     made = ["-f", "CSV", "-lco", "GEOMETRY=AS_WKT", "m.csv", "m.geojson"]
     subprocess.run(["ogr2ogr", *made], cwd=tmp_path, check=True, capture_output=True)
     with (tmp_path / "m.csv").open(newline="") as stream:
