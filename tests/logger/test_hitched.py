@@ -67,7 +67,7 @@ def test_joined_files_are_one_machine_file(file: Path) -> None:
     assert {receiver.mount for receiver in whole.machine.receiver} == {
         "tractor_front", "tractor_rear", "implement_front", "implement_rear",
     }  # fmt: skip
-    assert [*read_rigs(file)] == ["parker", "krampe"]
+    assert [*read_rigs(file)] == ["parker", "krampe", "undescribed"]
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_files_that_cannot_be_joined(tractor: str, implement: str, words: str) -
 @pytest.mark.parametrize(
     ("of", "files", "words"),
     [
-        ("jd.toml", {}, r"pulls one of parker, krampe; say which, such as .*jd.toml\+parker"),
+        ("jd.toml", {}, r"pulls one of parker, krampe, undescribed; say which, such as .*jd.toml\+parker"),
         ("jd.toml+cart", {}, "no implement cart; it pulls one of parker, krampe"),
         ("jd.toml+parker", {"krampe.toml": None}, "krampe.toml: the file of an implement cannot be read"),
         ("jd.toml+parker", {"krampe.toml": PARKER}, 'krampe.toml: name = "parker" is that of another'),
