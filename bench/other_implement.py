@@ -1,15 +1,15 @@
 """Another implement is hitched on than the machine file has, or one that nobody has described.
 
     python bench/other_implement.py lengths [--plant planar] [--count 5] [--first 601] [--estimates]
-    python bench/other_implement.py wrong [--plant planar] [--count 5] [--first 601]
+    python bench/other_implement.py wrong [--plant planar] [--count 5] [--first 601] [--moving]
 
-Rigs are of the fleet. Each stands for 12 s, then drives rows of 60 m at its speed with headland turns at
-2.5 m/s, on ground of 1 cm and a slope of 1 degree. `lengths`: the file has the tractor as its owner knows it
-and the implement of schemas/undescribed.py. A line says by how much hitch to receivers and hitch to axle are
-off, with one sd, 1, 2 and 5 minutes after it moves off, and when they are used; --estimates lets estimators
-run, and says by how many sds what is recommended at the end is off. `wrong`: the file has the implement of
-another rig with the same receivers (`other`), or one that differs in one number. A line says after how many
-seconds there is an event, and what it says.
+Rigs are of the fleet. Each stands for 12 s, not with --moving, then drives rows of 60 m at its speed with
+headland turns at 2.5 m/s, on ground of 1 cm and a slope of 1 degree. `lengths`: the file has the tractor as
+its owner knows it and the implement of schemas/undescribed.py. A line says by how much hitch to receivers
+and hitch to axle are off, with one sd, 1, 2 and 5 minutes after it moves off, and when they are used;
+--estimates lets estimators run, and says by how many sds what is recommended at the end is off. `wrong`:
+the file has the implement of another rig with the same receivers (`other`), or one that differs in one
+number. A line says after how many seconds there is an event, and what it says.
 """
 
 import math
@@ -42,12 +42,15 @@ MINUTES: Final = (1, 2, 5)
 ANOTHER: Final = 50  # numbers further, the rig whose implement is in the file
 
 
-def driven(rig: FleetRig, plant: str, seconds: float) -> tuple[Truth, Iterator[Frame]]:
+def driven(
+    rig: FleetRig, plant: str, seconds: float, parked_s: float = PARKED_S
+) -> tuple[Truth, Iterator[Frame]]:
     """Raises CannotBeDriven."""
     steering = Fieldwork(length=60.0, turns=headlands_of(rig), turn_speed=min(SLOW, rig.speed))
     base = Scenario(
         seconds=seconds, seed=rig.seed, plant=plant,  # type: ignore[arg-type]
-        speed=((PARKED_S, 0.0), (seconds - PARKED_S, rig.speed)), steering=steering,
+        speed=((parked_s, 0.0), (seconds - parked_s, rig.speed)) if parked_s else rig.speed,
+        steering=steering,
         ground=ground_of(plant, 0.01, 1.0, 40.0), other_traffic=False,
     )  # fmt: skip
     machine = true_machine(rig)
@@ -157,11 +160,11 @@ WRONG: Final[dict[str, Callable[[Raw, Raw], Machine]]] = {
 TELLING: Final = (FlagKind.CONTRADICTION, FlagKind.MOVED, FlagKind.SWAPPED)
 
 
-def wrong_of(rig: FleetRig, plant: str, make: Callable[[Raw, Raw], Machine]) -> str:
+def wrong_of(rig: FleetRig, plant: str, make: Callable[[Raw, Raw], Machine], parked_s: float) -> str:
     own, another = (tomllib.loads(owners_text(one)) for one in (rig, drawn(rig.seed + ANOTHER)))
     state = fold.initial(make(own, another))
     start_ns = 0
-    for frame in driven(rig, plant, WRONG_S)[1]:
+    for frame in driven(rig, plant, WRONG_S, parked_s)[1]:
         start_ns = start_ns or frame.t_ns
         for publication in fold.step(state, frame):
             if isinstance(publication.value, Event) and publication.value.kind in TELLING:
@@ -177,7 +180,9 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=5)
     parser.add_argument("--first", type=int, default=601)
     parser.add_argument("--estimates", action="store_true")
+    parser.add_argument("--moving", action="store_true")
     args = parser.parse_args()
+    parked_s = 0.0 if args.moving else PARKED_S
     done = 0
     for seed in count(args.first):
         if done == args.count:
@@ -188,7 +193,10 @@ def main() -> None:
                 print(f"{seed} {args.plant}: {lengths_of(rig, args.plant, args.estimates)}", flush=True)
             else:
                 for name, make in WRONG.items():
-                    print(f"{seed} {args.plant} {name:15} {wrong_of(rig, args.plant, make)}", flush=True)
+                    print(
+                        f"{seed} {args.plant} {name:15} {wrong_of(rig, args.plant, make, parked_s)}",
+                        flush=True,
+                    )
         except CannotBeDriven:
             continue
         done += 1

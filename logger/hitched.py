@@ -159,6 +159,6 @@ def _owners(rigs: Rigs) -> dict[int, str]:
     """NAME -> the implement whose file alone has it."""
     owners: dict[int, list[str]] = {}
     for implement, (machine, _) in rigs.items():
-        for name in _names(machine):
+        for name in _names(machine) if implement != UNDESCRIBED else ():  # whose receivers are another's
             owners.setdefault(name, []).append(implement)
     return {name: found[0] for name, found in owners.items() if len(found) == 1}

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from kinematic_drive import MACHINE, Plan, measurements
+from numpy.typing import NDArray
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis.strange_implement import (
@@ -62,10 +63,10 @@ def drawbar(machine: Machine) -> float:
     return machine.implement.d.value + machine.implement.e.value
 
 
-def middle(machine: Machine) -> "np.ndarray":
+def middle(machine: Machine) -> NDArray[np.float64]:
     """Of the implement's receivers, from the hitch: ahead and right, m."""
     places = [r.position[:2] for r in machine.receiver if r.mount.body == "implement"]
-    return np.mean(places, axis=0) - [machine.implement.d.value, 0.0]
+    return np.asarray(np.mean(places, axis=0) - [machine.implement.d.value, 0.0])
 
 
 @pytest.mark.parametrize(
