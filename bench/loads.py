@@ -1,18 +1,20 @@
 """Is another load of the implement told from other soil, and do intervals hold? Drives drawn anew.
 
-    python bench/loads.py [--count 12] [--first 0] [--row told]
+    python bench/loads.py [--count 12] [--first 0] [--row told] [--fleet]
 
 Each drive of 110 s turns to and fro, with soil, rig and sensors by its seed; at 60 s something changes,
 over 5 s. Rows: `told`, unloading from 8.5 t to 2.1 t that the operator says, n = 0.7; `unsaid`, the same
 where nobody says the load at any time; `soil`, all stiffnesses × 0.6 with a load that nobody says; `linear`,
 as `unsaid` with n = 1. One line for each drive: events of load and of soil after the change, how far what is
 recommended for C_ai over the mass is off 20 s after the change and at the end, in published sds, and the
-furthest of the numbers given for C_af, C_ar and C_ai.
+furthest of the numbers given for C_af, C_ar and C_ai. --fleet: rigs of the fleet with implements of 1 to 3 t,
+which carry three times as much, instead of the packaged rig; numbers of rigs that are not so light are left
+out.
 """
 
 import math
 from argparse import ArgumentParser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from typing import Final, NamedTuple
 
@@ -21,14 +23,20 @@ from estimation_study import FIELD, UNEVEN, fitted_at_once
 
 from tilth.estimator import fold
 from tilth.schemas.flow import PARAMETERS, Carried, Estimate, Event, EventKind, LoadSource, Publication
+from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.fleet import MOST_TOWED, drawn, scenario_of
+from tilth.simulator.fleet_files import owners_text, true_machine
 from tilth.simulator.scenario import LoadChange, Scenario, Soil, SoilChange
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
 AT_S, TAKES_S, SECONDS, LATER_S = 60.0, 5.0, 110.0, 20.0
-FULL, EMPTY = 4.0, 2127.0  # factor on the empty implement's mass; that, kg
-CART: Final = "[implement.load]\nmass = 6381\nahead_of_axle = 0.1\nheight = 1.2\nlength = 5.3\nwidth = 2.8\n"
+FULL, EMPTY = 4.0, 2127.0  # factor on the empty implement's mass; that of the packaged rig, kg
+LIGHT = 3000.0  # kg, of the fleet's implements
+CART: Final = (
+    "\n[implement.load]\nmass = {mass}\nahead_of_axle = 0.1\nheight = 1.2\nlength = 5.3\nwidth = 2.8\n"
+)
 WHEELS: Final = ((2.0, 0.0), (7.0, 12.0), (4.0, 0.0), (7.0, -10.0), (2.0, 0.0), (6.0, 14.0), (6.0, -14.0))
 SOFTER: Final = {"C_af": 0.6, "C_ar": 0.6, "C_ai": 0.6}
 
@@ -44,6 +52,32 @@ ROWS: Final = {
 }  # fmt: skip
 
 
+class LoadedRig(NamedTuple):
+    believed: str  # its machine file
+    driven: Machine
+    empty: float  # kg, of the implement
+    scenario: Scenario
+    parameters: Sequence[float]  # C_af, C_ar, C_ai with the empty one
+
+
+def packaged(case: Case, seed: int) -> LoadedRig:
+    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
+    machine, drive = parse_machine(text), scenario(case)
+    theta = draw(machine, seed, drive)
+    return LoadedRig(text, machine, EMPTY, drive, [theta[name] for name in PARAMETERS[:3]])
+
+
+def of_fleet(case: Case, seed: int) -> LoadedRig | None:
+    """None where its implement is no light one, or too heavy for the tractor when it is full."""
+    rig = drawn(seed)
+    mass = rig.implement.mass
+    if mass > LIGHT or FULL * mass > MOST_TOWED * rig.tractor.mass:
+        return None
+    drive = scenario_of(rig, scenario(case))
+    theta = [rig.parameters[name] for name in PARAMETERS[:3]]
+    return LoadedRig(owners_text(rig), true_machine(rig), mass, drive, theta)
+
+
 def scenario(case: Case) -> Scenario:
     loads = [LoadChange(0.0, FULL, exponent=case.exponent)]
     soil = FIELD
@@ -57,25 +91,24 @@ def scenario(case: Case) -> Scenario:
     )  # fmt: skip
 
 
-def words(case: Case) -> Iterator[tuple[float, Carried]]:
+def words(case: Case, empty: float) -> Iterator[tuple[float, Carried]]:
     """What the operator says, and when, s."""
     if case.said:
-        full = (FULL - 1.0) * EMPTY
+        full = (FULL - 1.0) * empty
         yield 0.0, Carried(0, full, 0.05 * full, LoadSource.OPERATOR)
         yield AT_S + TAKES_S, Carried(0, 0.0, 0.01 * full, LoadSource.OPERATOR)
 
 
-def driven(case: Case, seed: int) -> str:
+def driven(case: Case, seed: int, rig: LoadedRig) -> str:
     """One line of what came of a drive."""
-    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
-    machine = parse_machine(text + CART)
-    drive = scenario(case)
-    truth = np.log([draw(machine, seed, drive)[name] for name in PARAMETERS[:3]])
+    cart = CART.format(mass=(FULL - 1.0) * rig.empty)
+    machine = parse_machine(rig.believed + cart, plausible=False)
+    truth = np.log(rig.parameters)
     truth[2] += case.exponent * math.log(FULL)
     after = truth + ([0.0, 0.0, -case.exponent * math.log(FULL)] if case.unloads else math.log(0.6))
-    state, out, said = fold.initial(machine), list[Publication](), list(words(case))
+    state, out, said = fold.initial(machine), list[Publication](), list(words(case, rig.empty))
     start_ns = 0
-    for frame in simulate(machine, seed, SECONDS, drive):
+    for frame in simulate(rig.driven, seed, SECONDS, rig.scenario):
         start_ns = start_ns or frame.t_ns
         while said and (frame.t_ns - start_ns) * 1e-9 >= said[0][0]:
             word = said.pop(0)[1]
@@ -91,7 +124,7 @@ def driven(case: Case, seed: int) -> str:
     events = [e.notice.code for e in told if e.kind in (EventKind.LOAD, EventKind.SOIL_CHANGE)]
     found = ", ".join(code for code in events if code != "load_told") or "nothing"
     best = [(at_s(p), p.value) for p in out if p.topic == "/soil_tire" and isinstance(p.value, Estimate)]
-    mass = math.log(EMPTY * (1.0 if case.unloads else FULL))
+    mass = math.log(rig.empty * (1.0 if case.unloads else FULL))
     later = [over_mass(e, after[2] - mass) for s, e in best if s > AT_S + LATER_S]
     off = [number(e, k, after[k]) for s, e in best if s > AT_S + TAKES_S for k in range(3)]
     before = [number(e, k, truth[k]) for s, e in best if s < AT_S for k in range(3)]
@@ -125,10 +158,14 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--row", choices=ROWS, action="append")
+    parser.add_argument("--fleet", action="store_true")
     args = parser.parse_args()
+    make = of_fleet if args.fleet else packaged
     for seed in range(args.first, args.first + args.count):
         for name in args.row or ROWS:
-            print(f"{name:7} {seed:3}  {driven(ROWS[name], seed)}", flush=True)
+            rig = make(ROWS[name], seed)
+            if rig is not None:
+                print(f"{name:7} {seed:3}  {driven(ROWS[name], seed, rig)}", flush=True)
 
 
 if __name__ == "__main__":

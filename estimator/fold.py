@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from tilth.estimator import implement_load, ties, warm_start
-from tilth.estimator.diagnosis import diagnosis
+from tilth.estimator.diagnosis import diagnosis, strange_implement
 from tilth.estimator.diagnosis.accepted import acceptance, corrected
+from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
 from tilth.estimator.diagnosis.directive import Directive
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.diagnosis.widening import OfSoil, widened
@@ -76,12 +77,12 @@ FOLD: Final = FoldTuning()
 def initial(machine: Machine, accepted: Sequence[Accepted] = (), carried: Carried | None = None) -> State:
     """The state before the first frame. accepted: values in place of those of the machine file. carried: by
     the implement, as far as somebody has said it."""
-    empty = corrected(machine, accepted)
+    empty = file = corrected(machine, accepted)
     carried = carried or of_nobody(empty, 0)
     machine = laden(empty, carried)
     estimators = {row.method: row.initial(machine) for row in rows_for(machine)}
     state = State(
-        machine, empty, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
+        machine, empty, file, Decoder(machine), aligner.initial(machine), record_builder.initial(machine),
         open_tracker.initial(machine), estimators,
     )  # fmt: skip
     state.accepted, state.carried = list(accepted), carried
@@ -92,7 +93,7 @@ def initial(machine: Machine, accepted: Sequence[Accepted] = (), carried: Carrie
 def save_learned(state: State, t_ns: int) -> dict[str, SavedPosterior]:
     """Method -> what it has learned by t_ns, for the next run; empty while the machine file is not
     confirmed."""
-    if not state.diagnosis.confirmed:
+    if not state.diagnosis.confirmed or not state.machine.implement.described:  # another one may follow
         return {}
     return warm_start.save_learned(state.machine, state.estimators, t_ns)
 
@@ -354,6 +355,10 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     if not state.ready:
         del state.waiting[: -FOLD.poses_waiting]
         return
+    if not _lengths_known(state, t_ns, pose, out):
+        state.waiting.clear()
+        return
+        return
     for _ in range(min(len(state.waiting), FOLD.poses_at_once)):
         if state.waiting:  # else one of them began anew
             _estimate(state, t_ns, state.waiting.pop(0), out)
@@ -409,19 +414,39 @@ def accept(state: State, accepted: Accepted) -> list[Publication]:
     soil. So the methods begin from the machine file's priors.
     """
     out, t_ns = list[Publication](), accepted.t_ns
-    empty = corrected(state.empty, [accepted])
+    file = corrected(state.file, [accepted])
     directive = diagnosis.accept(state.diagnosis, state.machine, accepted)
     state.accepted.append(accepted)
-    state.empty, machine = empty, laden(empty, state.carried)
-    state.machine = machine
+    state.file = file
+    _use_file(state, strange_implement.with_found(file, state.strange.used))
+    _apply(state, directive, t_ns, out)
+    _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(state.machine, accepted), out)
+    return out
+
+
+def _use_file(state: State, empty: Machine) -> None:
+    """Go on with a machine file that has other values. The caller begins what is learned anew."""
+    state.empty = empty
+    state.machine = laden(empty, state.carried)
     before, state.decoder = state.decoder, Decoder(state.machine)
     state.decoder.load(before.dump())
-    aligner.use(state.aligner, machine)
-    _record_anew(state)  # poses and wheel angles so far have the value before
+    aligner.use(state.aligner, state.machine)
+    _record_anew(state)  # poses and wheel angles so far have the values before
     state.previous_run = {}
-    _apply(state, directive, t_ns, out)
-    _publish_event(state, t_ns, EventKind.ACCEPTED, acceptance(machine, accepted), out)
-    return out
+
+
+def _lengths_known(state: State, t_ns: int, pose: Pose, out: list[Publication]) -> bool:
+    """Whether estimators may take a pose: of an implement that nobody has described, driving tells where it
+    stands behind the tractor first."""
+    if state.machine.implement.described:
+        return True
+    found = strange_implement.observe(state.strange, state.file, state.aligner, pose)
+    if found is not None:
+        _use_file(state, strange_implement.with_found(state.file, found))
+        state.diagnosis = RigDiagnosis()
+        _apply(state, Directive(reset=True, reset_open=True), t_ns, out)
+        _publish_event(state, t_ns, EventKind.IMPLEMENT, strange_implement.told(state.file, found), out)
+    return state.strange.used is not None and found is None
 
 
 def carry_load(state: State, carried: Carried) -> list[Publication]:

@@ -8,6 +8,7 @@ import json
 from typing import Any, Final
 
 from tilth.estimator.diagnosis.accepted import corrected
+from tilth.estimator.diagnosis.strange_implement import StrangeImplement, with_found
 from tilth.estimator.fold import State, estimates_now
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.models.load import laden
@@ -37,9 +38,15 @@ def restore(machine: Machine, text: str) -> State:
         raise NotRestorable(other)
     del raw["version"]
     try:
-        empty = corrected(machine, from_json_data(list[Accepted], raw["accepted"]))
+        file = corrected(machine, from_json_data(list[Accepted], raw["accepted"]))
+        empty = with_found(file, from_json_data(StrangeImplement, raw["strange"]).used)
         machine = laden(empty, from_json_data(Carried | None, raw["carried"]))
-        given = {"machine": machine, "empty": empty, "decoder": _decoder_of(machine, raw.pop("decoder"))}
+        given = {
+            "machine": machine,
+            "empty": empty,
+            "file": file,
+            "decoder": _decoder_of(machine, raw.pop("decoder")),
+        }
         state: State = from_json_data(State, raw, given)
         stored = state.estimators  # a method that was not enabled then starts new
         state.estimators = {

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tilth.estimator.diagnosis.diagnosis import RigDiagnosis
+from tilth.estimator.diagnosis.strange_implement import StrangeImplement
 from tilth.estimator.methods.open_tracker import OpenTracker
 from tilth.estimator.pose.aligner import Aligner
 from tilth.estimator.pose.log_time import LogTime
@@ -41,12 +42,14 @@ class State:
 
     machine: Machine = field(metadata=NOT_STORED)  # with what its implement carries
     empty: Machine = field(metadata=NOT_STORED)  # without
+    file: Machine = field(metadata=NOT_STORED)  # as that, without the lengths that driving has found
     decoder: Decoder = field(metadata=NOT_STORED)  # but in a form of its own
     aligner: Aligner
     record: RecordState
     open: OpenTracker  # whose evidence the diagnosis weighs
     estimators: dict[str, Any]  # method -> state of that row of ESTIMATORS
     diagnosis: RigDiagnosis = field(default_factory=RigDiagnosis)  # is the machine file right
+    strange: StrangeImplement = field(default_factory=StrangeImplement)  # one that nobody has described
     accepted: list[Accepted] = field(default_factory=list)  # values in `machine` that its file does not have
     carried: Carried | None = None  # by the implement; None where its file has no [implement.load]
     scale: ScaleWord | None = None

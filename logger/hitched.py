@@ -19,6 +19,7 @@ from tilth.schemas.flow import Event, EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.notices import NoticeCode, Report, notice
+from tilth.schemas.undescribed import UNDESCRIBED
 
 KEY: Final = "implement"  # the last part of it
 ORDER: Final = OrderWords("an order of an implement", "orders of implements", "the implement's name")
@@ -109,14 +110,21 @@ class Hitched:
                 self._say_strange(strange)
 
     def _say_strange(self, name: int) -> None:
-        """An implement that nobody has described may be hitched on; one that is known has been heard, too."""
-        if self.name in self._heard or self.following:
+        """An implement that nobody has described is hitched on, if the present one would be heard by its own
+        control units; else it may be."""
+        if self.name in self._heard or self.following or self.name == UNDESCRIBED:
             return
+        own = UNDESCRIBED in self.rigs and bool(self.rigs[self.name].machine.implement.names)
+        code = NoticeCode.IMPLEMENT_UNDESCRIBED if own else NoticeCode.IMPLEMENT_STRANGE
         told = notice(
-            NoticeCode.IMPLEMENT_STRANGE, device=device(name), name=f"{name:016X}",
+            code, device=device(name), name=f"{name:016X}",
             implement=self.name or "the machine file's implement",
         )  # fmt: skip
         event = Event(self._clock.t_ns(), EventKind.IMPLEMENT, told)
+        if own:
+            self._keep(UNDESCRIBED, event)
+            self.following = UNDESCRIBED
+            return
         self._outlets.put("/event", event.t_ns, CHANNEL["/event"].encode(event))
         self._outlets.show_event(event)
 
@@ -151,6 +159,6 @@ def _owners(rigs: Rigs) -> dict[int, str]:
     """NAME -> the implement whose file alone has it."""
     owners: dict[int, list[str]] = {}
     for implement, (machine, _) in rigs.items():
-        for name in _names(machine):
+        for name in _names(machine) if implement != UNDESCRIBED else ():  # whose receivers are another's
             owners.setdefault(name, []).append(implement)
     return {name: found[0] for name, found in owners.items() if len(found) == 1}

@@ -10,6 +10,7 @@ from tilth.schemas.invocation import command
 from tilth.schemas.machine import DBC_BREAK, MachineError
 from tilth.schemas.machine_toml import DBC_SECTIONS, MachineFile, joined, parse_machine, section_of
 from tilth.schemas.readable import reason_of
+from tilth.schemas.undescribed import UNDESCRIBED, undescribed
 
 _UNFILLED = re.compile(r"[^#=]+=\s*# FILL IN")  # a line of `tilth discover`'s draft that has no value yet
 _ANSI = "cp1252"  # as most tools for DBC files write them
@@ -37,8 +38,8 @@ def read_machine(path: Path | str) -> MachineFile:
 
 
 def read_rigs(path: Path | str) -> dict[str, MachineFile]:
-    """Each rig that a machine file describes, by the implement's name, in the order of its [implements]; one
-    alone, by "", where it has none. Raises MachineError."""
+    """Each rig that a machine file describes, by the implement's name, in the order of its [implements], and
+    UNDESCRIBED; one alone, by "", where it has none. Raises MachineError."""
     path = _parted(Path(path))[0]
     text = _text(path, "machine file")
     files = _told(text, "implements", "files")
@@ -55,6 +56,8 @@ def read_rigs(path: Path | str) -> dict[str, MachineFile]:
             raise MachineError(f"{of}: {error}") from None
         machine_file = _machine(path, whole, of)
         name = machine_file.machine.implement.name or ""
+        if name == UNDESCRIBED:
+            raise MachineError(f'{of}: name = "{name}" is that of an implement without a file; give another')
         if name in rigs:
             raise MachineError(f'{of}: name = "{name}" is that of another implement too; each needs its own')
         for other in rigs.values():
@@ -66,7 +69,13 @@ def read_rigs(path: Path | str) -> dict[str, MachineFile]:
                     "implement to another belongs to neither"
                 )
         rigs[name] = machine_file
-    return rigs
+    return rigs | _undescribed(path, text, path.parent / files[0])
+
+
+def _undescribed(path: Path, tractor: str, of: Path) -> dict[str, MachineFile]:
+    """The tractor with an implement that has no file. of: a file of one whose receivers it may have."""
+    own = undescribed(_text(of, "file of an implement"))
+    return {UNDESCRIBED: _machine(path, joined(tractor, own), of)}
 
 
 def _machine(path: Path, text: str, of: Path | None = None) -> MachineFile:

@@ -130,8 +130,9 @@ class Decoder:
             read = route.sensor.read(frame.data)
             messages.append(self._own_message(route, frame, "wheel_angle_rad", read, "wheel-angle sensor"))
         if route.weighing is not None:
-            read, key = route.weighing.reading(frame.data), "whole" if self._weighs_whole else "carried"
-            messages.append(self._own_message(route, frame, f"{key}_mass_kg", read, "scale"))
+            read = route.weighing.reading(frame.data)
+            told = "whole_mass_kg" if self._weighs_whole else "carried_mass_kg"
+            messages.append(self._own_message(route, frame, told, read, "scale"))
         arrival = route.read(route, frame) if route.read is not None else None
         if arrival is not None:
             messages.append(self._message_of(route, arrival))

@@ -174,6 +174,11 @@ class Implement(_Section):
     names: list[_HexName] = Field(
         default=[], description="64-bit NAMEs of its own control units, by which it is known when hitched on"
     )
+    described: bool = Field(
+        default=True,
+        description="false: nobody has measured it; driving finds its lengths, within the sds of d and e, "
+        "lever_sd, pair_yaw_sd and its receivers' survey_sd",
+    )
     d: Taped = Field(description="hitch to its CG, m; a number alone is taken to 2 cm")
     e: Taped = Field(description="CG to the axle, behind, m; a number alone is taken to 2 cm")
     mass: Exact = Field(description="kg, without its ballast")

@@ -98,6 +98,8 @@ class NoticeCode(StrEnum):
     IMPLEMENT_CHANGED = "implement_changed"
     IMPLEMENT_HEARD = "implement_heard"
     IMPLEMENT_STRANGE = "implement_strange"
+    IMPLEMENT_LENGTHS = "implement_lengths"
+    IMPLEMENT_UNDESCRIBED = "implement_undescribed"
     KERNELS_COMPILED = "kernels_compiled"
     KERNELS_REFUSED = "kernels_refused"
     LEARNED_REFUSED = "learned_refused"
@@ -157,7 +159,7 @@ class NoticeCode(StrEnum):
 
 
 OF_FOLD: Final = frozenset({
-    NoticeCode.REASON, NoticeCode.FLAG, NoticeCode.OVER,
+    NoticeCode.IMPLEMENT_LENGTHS, NoticeCode.REASON, NoticeCode.FLAG, NoticeCode.OVER,
     NoticeCode.SILENCE, NoticeCode.STEPPED_BACK, NoticeCode.COARSE_STAMPS, NoticeCode.BUS_CLOCK_APART,
     NoticeCode.BUSES_APART, NoticeCode.STRAY_FRAMES, NoticeCode.ADDRESSES_KEPT, NoticeCode.ADDRESSES_DOUBTED,
     NoticeCode.ADDRESSES_CONFIRMED, NoticeCode.ADDRESSES_CHANGED, NoticeCode.RECOGNISED, NoticeCode.NONE_FITS,

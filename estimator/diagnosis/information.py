@@ -83,6 +83,8 @@ DELAY: Final = _at(*(f"latency_{mount.value}" for mount in MOUNTS))
 PAIR, TURN, ROLL = (_at(f"{name}_t", f"{name}_i") for name in ("pair", "crab_per_turn", "crab_per_roll"))
 WHEEL_ROW: Final = _at("wheel_zero", "wheel_gain", "wheel_per_turn", "wheel_per_roll")
 
+CRAB: Final = (4, 5)
+"""The rows of crab angles of tractor and implement."""
 KINDS: Final = 7  # rows of a sample: two lengths, gap forward and right, two crab angles, wheels
 
 
@@ -127,12 +129,12 @@ def rows(rig: Lengths, now: Sample) -> tuple[NDArray[np.int64], Array, Array]:
     for k, body in enumerate(bodies):
         if _is_gentle(body):
             u, r = body.forward_velocity, body.yaw_rate
-            row = design[4 + k]
+            row = design[CRAB[k]]
             row[[PAIR[k], TURN[k], ROLL[k]]] = -1.0, u * r, body.roll
-            measured[4 + k] = sideways(body.lateral_velocity, r, rig.axles[k]) / u
-            there[4 + k] = True
+            measured[CRAB[k]] = sideways(body.lateral_velocity, r, rig.axles[k]) / u
+            there[CRAB[k]] = True
     wheel = now.wheel_angle
-    if there[4] and wheel is not None and abs(wheel) < INFORMATION.small_angle:
+    if there[CRAB[0]] and wheel is not None and abs(wheel) < INFORMATION.small_angle:
         u, r = now.tractor.forward_velocity, now.tractor.yaw_rate
         path = path_angle(rig.wheelbase, u, r)
         design[6, WHEEL_ROW] = *wheel_slopes(np.array(path), np.array(u * r)), now.tractor.roll

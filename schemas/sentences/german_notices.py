@@ -248,11 +248,23 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "ein Steuergerät von {implement} meldet sich (NAME {device}), keines des vorigen Geräts: {implement} "
         "ist angehängt, eine neue Fahrt beginnt"
     ),
+    NoticeCode.IMPLEMENT_LENGTHS: (
+        "die Fahrt zeigt von {implement}: Kupplung bis Achse {drawbar}, Kupplung bis Mitte der Empfänger "
+        "{receivers}. Damit wird weitergerechnet, die Schätzung beginnt neu. Genauer wird sie mit dem "
+        "Maßband von der Kupplung bis zur Achse und der Masse von der Waage"
+    ),
     NoticeCode.IMPLEMENT_STRANGE: (
         "{device} (NAME {name}) meldet sich und steht in der Datei keines Geräts; die Werte sind die von "
         '{implement}. Ist es dieses, names = ["{name}"] in [implement] seiner Datei schreiben. Sonst braucht '
         "es eine Datei: Masse, Spurweite, Deichsel bis Achse und Plätze der Empfänger messen; `tilth calibrate` "
         "findet die Längen beim Fahren"
+    ),
+    NoticeCode.IMPLEMENT_UNDESCRIBED: (
+        "{device} (NAME {name}) meldet sich, steht in der Datei keines Geräts, und von {implement} "
+        "meldet sich nichts: eine Fahrt mit einem unbeschriebenen Gerät beginnt. Zuerst zeigt die Fahrt "
+        "seine Längen: stehen, dann zu beiden Seiten wenden, mit zwei Geschwindigkeiten. Es braucht eine "
+        'Datei: Masse, Spurweite, Kupplung bis Achse und Plätze der Empfänger messen, names = ["{name}"] '
+        "in sein [implement] schreiben"
     ),
     NoticeCode.KERNELS_COMPILED: (
         "der Rechenteil wurde in {compiling_s:.0f} s übersetzt, während aufgezeichnet wurde; die Schätzung beginnt"

@@ -261,11 +261,22 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "a device of {implement} is heard (NAME {device}), and none of the implement before: {implement} is "
         "hitched on, and a new run begins"
     ),
+    NoticeCode.IMPLEMENT_LENGTHS: (
+        "driving tells of {implement}: hitch to axle {drawbar}, hitch to the middle of its receivers "
+        "{receivers}. These are used; estimates begin anew. A tape from hitch pin to axle, and its mass "
+        "on a scale, make them better"
+    ),
     NoticeCode.IMPLEMENT_STRANGE: (
         "{device} (NAME {name}) is heard, which no implement's file has; estimates are as of {implement}. If "
         'it is that one, write names = ["{name}"] into [implement] of its file. If not, give it a file: '
         "measure its mass, its track, hitch to axle and where its receivers stand; `tilth calibrate` finds "
         "the lengths from driving"
+    ),
+    NoticeCode.IMPLEMENT_UNDESCRIBED: (
+        "{device} (NAME {name}) is heard, which no implement's file has, and none of {implement}: a run "
+        "begins with an implement that nobody has described. First driving finds its lengths: stand, "
+        "then turn to both sides, at two speeds. Give it a file: measure its mass, its track, hitch to "
+        'axle and where its receivers stand, and write names = ["{name}"] into its [implement]'
     ),
     NoticeCode.KERNELS_COMPILED: (
         "kernels were compiled for {compiling_s:.0f} s while frames were recorded; estimates begin"

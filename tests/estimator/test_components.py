@@ -52,7 +52,7 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "calibration/assignment": ("PAIRINGS",),
     "calibration/calibrate": ("AS_STATED",),
     "calibration/changes": ("BODY",),
-    "diagnosis/information": ("FORWARD", "KINDS"),
+    "diagnosis/information": ("CRAB", "FORWARD", "KINDS"),
     "rig/residuals": ("HITCH",),
     "calibration/steering_response": ("NO_LIMIT",),
     # what is asked of a model, beside its sensors

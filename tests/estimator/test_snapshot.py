@@ -95,7 +95,7 @@ def test_it_is_json_of_a_version_and_not_long() -> None:
     assert document["version"] == VERSION
     assert set(document["estimators"]) == {row.method for row in ESTIMATORS}
     # All that the fold remembers, but for the machine file and what each step gives anew.
-    kept = {f.name for f in fields(State)} - {"machine", "empty", "estimates", "segments"}
+    kept = {f.name for f in fields(State)} - {"machine", "empty", "file", "estimates", "segments"}
     assert set(document) == {"version"} | kept
     del document["estimators"]["pem_two_step"]  # which few ask for
     assert (

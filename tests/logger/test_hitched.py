@@ -20,6 +20,7 @@ from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import MachineError
 from tilth.schemas.machine_toml import joined, parse_machine
 from tilth.schemas.notices import Notice, NoticeCode
+from tilth.schemas.plausible import unusual
 from tilth.schemas.proto import tilth_pb2 as pb
 
 BUS = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-hitched"\n\n'
@@ -67,7 +68,7 @@ def test_joined_files_are_one_machine_file(file: Path) -> None:
     assert {receiver.mount for receiver in whole.machine.receiver} == {
         "tractor_front", "tractor_rear", "implement_front", "implement_rear",
     }  # fmt: skip
-    assert [*read_rigs(file)] == ["parker", "krampe"]
+    assert [*read_rigs(file)] == ["parker", "krampe", "undescribed"]
 
 
 @pytest.mark.parametrize(
@@ -90,7 +91,7 @@ def test_files_that_cannot_be_joined(tractor: str, implement: str, words: str) -
 @pytest.mark.parametrize(
     ("of", "files", "words"),
     [
-        ("jd.toml", {}, r"pulls one of parker, krampe; say which, such as .*jd.toml\+parker"),
+        ("jd.toml", {}, r"pulls one of parker, krampe, undescribed; say which, such as .*jd.toml\+parker"),
         ("jd.toml+cart", {}, "no implement cart; it pulls one of parker, krampe"),
         ("jd.toml+parker", {"krampe.toml": None}, "krampe.toml: the file of an implement cannot be read"),
         ("jd.toml+parker", {"krampe.toml": PARKER}, 'krampe.toml: name = "parker" is that of another'),
@@ -122,7 +123,7 @@ def test_a_run_begins_with_the_last_implement(file: Path, kept: str | None, name
 def test_what_is_learned_is_kept_by_implement_and_a_name_is_no_other_rig(file: Path, tmp_path: Path) -> None:
     rigs = read_rigs(file)
     paths = {warm_start_file.path_of(tmp_path, rig.machine) for rig in rigs.values()}
-    assert len(paths) == 2
+    assert len(paths) == len(rigs)
     before, named = parse_machine(TEXT), parse_machine(TEXT.replace("[implement]", '[implement]\nname = "x"'))
     path = tmp_path / "x.json"
     path.write_text(warm_start_file.text_of(before, {}, 5))
@@ -250,6 +251,41 @@ def test_an_implement_that_nobody_described(
     if told:
         assert 'names = ["A00A8A0000A00123"]' in said[0] and "estimates are as of parker" in said[0]
         assert "fertilizer" in said[0] or "fertiliser" in said[0]
+
+
+@pytest.mark.usefixtures("prepared")
+@pytest.mark.parametrize("own_heard", [False, True])
+def test_one_that_nobody_described_is_hitched_on_where_the_other_would_be_heard(
+    file: Path, tmp_path: Path, own_heard: bool
+) -> None:
+    """The present implement has a control unit of its own, which is silent: so it is not there."""
+    own = 0xA0008C00042106D4
+    (file.parent / "parker.toml").write_text(PARKER.replace("\nd =", f'\nnames = ["{own:016X}"]\nd =', 1))
+    rigs = read_rigs(file)
+    with can.Bus(interface="virtual", channel="tilth-hitched"):
+        daemon = Daemon(rigs["parker"], tmp_path / "logs", None, NoDisplay(), rigs=rigs)
+        for source, name in enumerate((SPREADER, own)[: 1 + own_heard], 0x80):
+            daemon.take(claim(name, source, daemon.parts.clock.t_ns()))
+        daemon.parts.clock.offset_ns += SETTLED_NS + 1
+        daemon.turn(0.0)
+        assert daemon.parts.hitched.following == ("" if own_heard else "undescribed")
+        (log,) = daemon.close().log_files
+    said = [e.text for e in records_of(log, "/event", pb.Event) if e.kind == "implement"]
+    assert len(said) == (not own_heard)
+    if said:
+        assert "measure its mass, its track, hitch to axle" in said[0] and "A00A8A0000A00123" in said[0]
+
+
+def test_an_implement_that_nobody_described_takes_receivers_along(file: Path) -> None:
+    rigs = read_rigs(file)
+    machine = rigs["undescribed"].machine
+    assert not machine.implement.described and machine.implement.mass.sd > 1000.0
+    of = {name: [r.name for r in rig.machine.receiver] for name, rig in rigs.items()}
+    assert of["undescribed"] == of["parker"] != of["krampe"]
+    assert not unusual(machine)
+    (file.parent / "krampe.toml").write_text(KRAMPE.replace('"krampe"', '"undescribed"'))
+    with pytest.raises(MachineError, match=r'name = "undescribed" is that of an implement without a file'):
+        read_rigs(file)
 
 
 @pytest.mark.usefixtures("prepared")
