@@ -6,9 +6,9 @@
 What one daemon publishes is taken from a simulated drive of so many seconds, with its times. Each simulated
 daemon has a sink of its own, as `tilth run` has, and puts it in real time, each a little later than the one
 before; --together says how many share a session, that is a connection to the router. With --pace 0.25 all go
-at a quarter of real time, for a computer that has too few cores. The router is a Zenoh session in
-router mode, the recorder a client that writes each payload to an MCAP file with its key; both are processes of
-their own. Lost is what was put, less what is in the file.
+at a quarter of real time, for a computer that has not the cores of them all. The router is a Zenoh session in
+router mode, the recorder a client that writes each payload to an MCAP file with its key; both are processes
+of their own. Lost is what was put, less what is in the file.
 """
 
 import argparse

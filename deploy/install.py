@@ -232,8 +232,8 @@ def _plain(path: Path) -> bytes:
 
 
 def is_recording(box: Box) -> bool:
-    """Whether a log is being written, from the start of the recorder, or the first frame, to ignition off: the
-    recorder locks it."""
+    """Whether a log is being written: the recorder locks it, from its start, or the first frame, to ignition
+    off."""
     for path in box.at(LOGS).glob("*.mcap"):
         with path.open("rb") as stream:
             try:

@@ -358,7 +358,6 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     if not _lengths_known(state, t_ns, pose, out):
         state.waiting.clear()
         return
-        return
     for _ in range(min(len(state.waiting), FOLD.poses_at_once)):
         if state.waiting:  # else one of them began anew
             _estimate(state, t_ns, state.waiting.pop(0), out)

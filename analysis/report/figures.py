@@ -30,9 +30,12 @@ DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {
 }
 """Of a drive, by the kind of a figure."""
 ALL_DRAWINGS: Final = {**DRAWINGS, **SENSITIVITY_DRAWINGS, **SEASON_DRAWINGS}
+ZOOMING: Final = frozenset({"field_map"})
+"""Kinds of which the panels zoom on a page, all together."""
 PAGE_COLOURS: Final = {INK: "var(--ink)", GRID: "var(--grid)", QUIET: "var(--quiet)", PAPER: "var(--paper)"}
 PT_PER_REM: Final = 8.5  # of a figure at its widest: its letters are then about as large as the page's
 _ID = re.compile(r' id="([^"]+)"')
+ZOOMED = re.compile(r"panel-\d+|scale$")  # what the script of a page looks for: gids of season_figures
 _USED = re.compile(r'(?:url\(#|href="#)([^)"]+)')
 
 
@@ -63,7 +66,10 @@ def inline(figure: ReportFigure) -> str:
     body = re.sub(r"<style[^>]*>.*?</style>", "", body, flags=re.S)  # would hold for the whole page
     body = re.sub(r"<!--.*?-->", "", body, flags=re.S)
     used = set(_USED.findall(body))
-    body = _ID.sub(lambda found: f' id="{figure.id}-{found[1]}"' if found[1] in used else "", body)
+    body = _ID.sub(
+        lambda found: f' id="{figure.id}-{found[1]}"' if found[1] in used or ZOOMED.match(found[1]) else "",
+        body,
+    )
     body = re.sub(r"url\(#", f"url(#{figure.id}-", body)
     body = re.sub(r'(?:xlink:)?href="#', f'href="#{figure.id}-', body)
     body = re.sub(r"'DejaVu Sans'[^;\"]*", "sans-serif", body)

@@ -1,4 +1,5 @@
-"""A report as one HTML file: no script, nothing from elsewhere; light, dark, on paper, for screen readers."""
+"""A report as one HTML file: nothing from elsewhere; light, dark, on paper, for screen readers. No script
+but that of maps, which zoom by it and are whole without."""
 
 import html
 from collections.abc import Iterator
@@ -15,8 +16,9 @@ from tilth.analysis.report.document import (
     ReportSection,
     ReportTable,
     ReportText,
+    figures_of,
 )
-from tilth.analysis.report.figures import inline
+from tilth.analysis.report.figures import ZOOMING, inline
 from tilth.schemas.readable import readable
 
 LONG: Final = 28  # characters of a text that may take several lines
@@ -35,7 +37,7 @@ def page(report: DriveReport) -> str:
 
 
 def _lines(report: DriveReport) -> Iterator[str]:
-    style = resources.files("tilth.analysis.report").joinpath("page.css").read_text(encoding="utf-8")
+    style = _beside("page.css")
     title = escape(report.title)
     yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -47,7 +49,14 @@ def _lines(report: DriveReport) -> Iterator[str]:
     yield "</ul>\n</nav>"
     for section in report.sections:
         yield from _section(section, 2)
-    yield "</main>\n</body>\n</html>"
+    yield "</main>"
+    if any(figure.kind in ZOOMING for figure in figures_of(report)):
+        yield f"<script>\n{_beside('zoom.js')}</script>"
+    yield "</body>\n</html>"
+
+
+def _beside(name: str) -> str:
+    return resources.files("tilth.analysis.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _entry(section: ReportSection) -> str:

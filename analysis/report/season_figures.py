@@ -19,7 +19,7 @@ from tilth.analysis.report.figure_look import (
     panels,
     plain_ticks,
 )
-from tilth.analysis.report.wording import SYMBOLS
+from tilth.analysis.report.wording import AXLES, SYMBOLS
 from tilth.schemas.spread import scale_of, unit_of
 
 COLOURS: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
@@ -80,7 +80,7 @@ def field_map(data: Mapping[str, Any]) -> Figure:
     west, east, south, north = data["extent"]
     tall = min(1.2, (north - south) / (east - west)) * WIDTH / 2.0
     figure, axes = panels(len(names), 2, len(names) * (tall + 0.4), sharex=True, sharey=True)
-    for (value, sd), name in zip(axes, names, strict=True):
+    for k, ((value, sd), name) in enumerate(zip(axes, names, strict=True)):
         logs, sds = (np.array(data["parameters"][name][key], dtype=np.float64) for key in ("mean", "sd"))
         shown = {"origin": "lower", "extent": (west, east, south, north), "interpolation": "none"}
         shades = np.exp(_at_least(logs, LEAST_LOG_RANGE)) * scale_of(name)
@@ -94,6 +94,8 @@ def field_map(data: Mapping[str, Any]) -> Figure:
             panel.plot(*np.array(data["outline"]).T, color=INK, linewidth=0.8)
             panel.set(xticks=[], yticks=[], xlim=(west, east), ylim=(south, north))
             panel.spines[:].set_visible(False)
+        value.set(title=AXLES[name[-1]], gid=f"panel-{2 * k}")
+        sd.set(title="how uncertain", gid=f"panel-{2 * k + 1}")
     _scale_and_north(axes[0, 0], east - west)
     return figure
 
@@ -113,7 +115,7 @@ def _scale_and_north(panel: Any, width_m: float) -> None:
     above = {"xycoords": "axes fraction", "annotation_clip": False}
     ends = {"arrowstyle": "|-|,widthA=0.2,widthB=0.2", **plain}
     panel.annotate("", (bar / width_m, 1.03), (0.0, 1.03), arrowprops=ends, **above)
-    panel.annotate(f"{bar:g} m", (bar / width_m + 0.02, 1.03), va="center", **above)
+    panel.annotate(f"{bar:g} m", (bar / width_m + 0.02, 1.03), va="center", gid="scale", **above)
     arrow = {"arrowstyle": "<-", **plain}
     panel.annotate("N", (0.97, 1.02), (0.97, 1.1), ha="center", va="bottom", arrowprops=arrow, **above)
 

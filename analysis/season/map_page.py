@@ -43,8 +43,7 @@ def write_picture(path: Path, field: MappedField) -> None:
 
 
 def write_page(path: Path, rig: RigStretches, fields: Sequence[MappedField], command: str) -> None:
-    """One HTML file without scripts: figures are drawn of lines, so they stay sharp as a browser zooms. A new
-    file or nothing. Raises OSError."""
+    """One HTML file that needs nothing else; its maps zoom. A new file or nothing. Raises OSError."""
     name = f"{rig.machine_name}, implement {rig.implement}"
     how = [f"Made by: {command}.", *(sentences([text]) for text in rig.left_out)]
     how += [sentences([f"{what}: {text}"]) for what, text in MEANING.items()]

@@ -1,0 +1,158 @@
+"""Does a map say something true? Simulated fields, driven, identified and mapped as a user does.
+
+    python bench/map_truth.py FOLDER [--count 2] [--minutes 20]
+
+Field k has two soils, with all stiffnesses 45 % lower beyond a line, which lies along the rows in even fields
+and across them in odd ones, and a wet hollow, a strip of 40 m across the rows where they are 40 % lower. The
+same drive on one soil is its twin. Counted are numbers of cells whose 95 % interval has the truth of the
+middle of the cell, and how far the map's boundary of the two soils is from the true one. Logs and seasons
+are kept in FOLDER; what is there is not made again.
+"""
+
+import argparse
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from season import FIRST_RIG, identify, rig_of, scenario_for
+
+from tilth.analysis.season.field_map import MappedField, fields_of, mapped
+from tilth.analysis.season.kept_table import MapProblem, stretches_of
+from tilth.estimator.pose.geometry import to_degrees, to_plane
+from tilth.schemas.machine_toml import parse_machine
+from tilth.schemas.spread import WITHIN
+from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.ground import share
+from tilth.simulator.scenario import Fieldwork, Parameter, Scenario, SoilChange, as_json
+from tilth.simulator.simulate import SimulationInput, simulate_to
+
+Array = NDArray[np.float64]
+FIRM: Final = 0.55  # of the stiffnesses of the other soil
+WET: Final = 0.6
+C: Final[tuple[Parameter, ...]] = ("C_af", "C_ar", "C_ai")
+BESIDE_M: Final = 40.0  # from the boundary, along which it is looked for
+
+
+def changes(k: int) -> tuple[SoilChange, ...]:
+    """Two soils and a wet hollow. Rows run to north, each next one to the east."""
+    across, wet, dry = (dict.fromkeys(C, factor) for factor in (FIRM, WET, 1.0 / WET))
+    towards = 90.0 if k % 2 == 0 else 0.0
+    return (
+        SoilChange(north=110.0, east=45.0, towards_deg=towards, over=2.0, **across),
+        SoilChange(north=35.0, east=0.0, over=10.0, **wet),
+        SoilChange(north=75.0, east=0.0, over=10.0, **dry),
+    )
+
+
+def made(folder: Path, k: int, minutes: float, one_soil: bool) -> tuple[Path, Scenario]:
+    """A folder with the log of a drive, and its scenario."""
+    rig = rig_of(0, True)
+    asked = scenario_for(rig, k, k, minutes)
+    soil = replace(asked.soil, patch_log_sd=0.0, patch_seed=None, changes=() if one_soil else changes(k))
+    assert isinstance(asked.steering, Fieldwork)
+    scenario = replace(asked, soil=soil, steering=replace(asked.steering, length=140.0))
+    logs = folder / f"field{k}{'-one' if one_soil else ''}"
+    log = logs / "day.mcap"
+    if not log.exists():
+        logs.mkdir(parents=True, exist_ok=True)
+        text = owners_text(rig).replace(f"fleet-{rig.seed}", f"fleet-{FIRST_RIG}")
+        true = true_machine(rig)
+        source = SimulationInput(
+            parse_machine(text), text, scenario, as_json(scenario), 57_000 + k, scenario.seconds, true
+        )
+        simulate_to(source, log)
+    return logs, scenario
+
+
+def truth_at(scenario: Scenario, found: MappedField) -> Array:
+    """Logarithms of the stiffnesses in the middles of the cells, (n, 3)."""
+    usual = scenario.soil.parameters
+    assert usual is not None
+    middle = found.grid + found.cell_m / 2.0
+    places = np.array([
+        to_plane(scenario.origin_deg, *to_degrees(found.origin_deg, north, east))
+        for north, east in middle.tolist()
+    ])  # fmt: skip
+    axles = np.repeat(places[:, None], 3, axis=1)
+    log = np.tile(np.log([usual[name] for name in C]), (len(places), 1))
+    for change in scenario.soil.changes:
+        log += share(change, 0.0, axles) * np.log([getattr(change, name) for name in C])
+    return log
+
+
+def boundary_off(scenario: Scenario, found: MappedField, true: Array) -> list[float]:
+    """How far from the true boundary the map's is, line of cells by line of cells across it, m; inf where
+    the map shows none there."""
+    edge = scenario.soil.changes[0]
+    axis = 1 if edge.towards_deg == 90.0 else 0  # along which it is crossed
+    logs, truth = found.mean.mean(axis=1), true.mean(axis=1)
+    off = []
+    for along in np.unique(found.grid[:, 1 - axis]):
+        line = np.flatnonzero((found.grid[:, 1 - axis] == along) & np.isfinite(logs))
+        line = line[np.argsort(found.grid[line, axis])]
+        steps = np.flatnonzero(np.abs(np.diff(truth[line])) > 0.5 * abs(math.log(FIRM)))
+        if not len(steps):
+            continue
+        at = found.grid[line, axis] + found.cell_m / 2.0
+        true_at = (at[steps[0]] + at[steps[0] + 1]) / 2.0
+        near = np.abs(at - true_at) <= BESIDE_M
+        at, value = at[near], logs[line][near]
+        if len(at) < 4:
+            continue
+        between = (value[0] + value[-1]) / 2.0
+        crosses = np.flatnonzero((value[:-1] >= between) & (value[1:] < between))
+        if value[0] - value[-1] < 0.3 * abs(math.log(FIRM)) or not len(crosses):
+            off.append(math.inf)
+            continue
+        j = crosses[np.argmin(np.abs(at[crosses] - true_at))]
+        part = (value[j] - between) / (value[j] - value[j + 1])
+        off.append(float(at[j] + part * (at[j + 1] - at[j]) - true_at))
+    return off
+
+
+def told(name: str, scenario: Scenario, found: MappedField) -> str:
+    true = truth_at(scenario, found)
+    off, has = found.mean - true, np.isfinite(found.mean)
+    inside = (np.abs(off) <= WITHIN * found.sd)[has]
+    text = (
+        f"{name}: {len(found.stretches)} stretches, {len(found.grid)} cells, {has.sum()} numbers, "
+        f"{100 * inside.mean():.0f} % hold, median error {100 * np.median(np.abs(off[has])):.0f} %, "
+        f"sd {100 * np.median(found.sd[has]):.0f} %"
+    )
+    spread = np.nanmax(np.abs(found.mean - np.nanmean(found.mean, axis=0)) / found.sd)
+    text += f"; largest difference from its mean {spread:.1f} sd, soil changed {len(found.changed)} times"
+    if scenario.soil.changes:
+        edge = np.array(boundary_off(scenario, found, true))
+        shown = np.abs(edge[np.isfinite(edge)])
+        text += (
+            f"; boundary shown in {len(shown)} of {len(edge)} lines, within 5 m in {np.sum(shown <= 5.0)}, "
+            f"median {np.median(shown) if len(shown) else math.nan:.0f} m off"
+        )
+    return text
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--count", type=int, default=2, help="fields")
+    parser.add_argument("--minutes", type=float, default=20.0, help="of each drive")
+    args = parser.parse_args()
+    for k in range(args.count):
+        for one_soil in (False, True):
+            logs, scenario = made(args.folder, k, args.minutes, one_soil)
+            out = args.folder / f"{logs.name}-season"
+            identify(logs, out, "--workers", "1")
+            try:
+                rig: Any = stretches_of(out)
+            except MapProblem as problem:
+                print(f"{logs.name}: {problem}", flush=True)
+                continue
+            for number, of in enumerate(fields_of(rig.stretches), 1):
+                print(told(logs.name, scenario, mapped(number, rig.machine, of)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
