@@ -39,7 +39,7 @@ WITHOUT_UNIT: Final = frozenset({
     "awaited", "ready", "run", "version", "frames", "measurements", "poses", "recording", "log_file",
     "problems", "health", "resting", "preparing", "frame_id", "state", "fault", "position_covariance_type",
     "per_s", "what", "machine_sha256", "share", "this_pass", "neighbours", "prior", "result", "job_sha256",
-    "implement", "implements",
+    "implement", "implements", "statistic", "threshold", "above",
 })  # fmt: skip
 """Texts, counts, codes, ratios, natural logarithms."""
 SUFFIXES: Final = {
