@@ -41,7 +41,7 @@ RESERVE: Final = 300_000_000  # bytes that are left to the recorder
 MOST_NEWS: Final = 20
 
 
-class Refused(Exception):
+class NotTaken(Exception):
     """A package that is not used, and why."""
 
     def __init__(self, why: Notice) -> None:
@@ -92,8 +92,8 @@ def look(box: Box, updates: Updates, folder: Path, *, at_once: bool) -> None:
         return
     try:
         take(box, updates, packages)
-    except Refused as refused:
-        updates.tell(refused.notice)
+    except NotTaken as one:
+        updates.tell(one.notice)
     finally:
         shutil.rmtree(box.at(INCOMING), ignore_errors=True)
     updates.seen = there
@@ -101,51 +101,51 @@ def look(box: Box, updates: Updates, folder: Path, *, at_once: bool) -> None:
 
 
 def take(box: Box, updates: Updates, packages: Sequence[Path]) -> None:
-    """Check and prepare one; one that is here already is left alone. Raises Refused."""
+    """Check and prepare one; one that is here already is left alone. Raises NotTaken."""
     here = _said("dpkg", "--print-architecture")
     fitting = [path for path in packages if path.stem.endswith(f"_{here}")]
     if not fitting:
-        raise Refused(notice(NoticeCode.UPDATE_OTHER_PROCESSOR, file=packages[0].name, here=here))
+        raise NotTaken(notice(NoticeCode.UPDATE_OTHER_PROCESSOR, file=packages[0].name, here=here))
     if len(fitting) > 1:
         names = ", ".join(path.name for path in fitting)
-        raise Refused(notice(NoticeCode.UPDATE_SEVERAL, files=names))
+        raise NotTaken(notice(NoticeCode.UPDATE_SEVERAL, files=names))
     (package,) = fitting
     checked = copied(box, package)
     architecture, version = (
         _said("dpkg-deb", "--field", str(checked), key) for key in ("Architecture", "Version")
     )
     if architecture != here:
-        raise Refused(notice(NoticeCode.UPDATE_OTHER_PROCESSOR, file=package.name, here=here))
+        raise NotTaken(notice(NoticeCode.UPDATE_OTHER_PROCESSOR, file=package.name, here=here))
     version = version.partition("-")[0]
     newest = newest_of(box, updates)
     if version == newest:
         return
     if not is_newer(version, newest):
-        raise Refused(notice(NoticeCode.UPDATE_OLDER, file=package.name, newest=newest))
+        raise NotTaken(notice(NoticeCode.UPDATE_OLDER, file=package.name, newest=newest))
     tree = checked.with_name("tree")
     try:
         subprocess.run(["dpkg-deb", "--extract", checked, tree], check=True)
         checked.unlink()
         install.prepare(box, tree / "usr/lib/tilth/wheels")
     except (OSError, Failed, subprocess.CalledProcessError) as error:
-        raise Refused(notice(NoticeCode.UPDATE_REFUSED, file=package.name, why=str(error))) from None
+        raise NotTaken(notice(NoticeCode.UPDATE_REFUSED, file=package.name, why=str(error))) from None
     updates.newest = version
     updates.tell(notice(NoticeCode.UPDATE_READY, file=package.name, version=version))
 
 
 def copied(box: Box, package: Path) -> Path:
-    """A copy on this computer's disk that one of its keys has signed. Raises Refused."""
+    """A copy on this computer's disk that one of its keys has signed. Raises NotTaken."""
     name, signed = package.name, _signature_of(package)
     trusted, revoked = keys(box)
     try:
         signature = read_signature(signed.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        raise Refused(notice(NoticeCode.UPDATE_UNSIGNED, file=name, signature=signed.name)) from None
+        raise NotTaken(notice(NoticeCode.UPDATE_UNSIGNED, file=name, signature=signed.name)) from None
     if signature.key in revoked:
-        raise Refused(notice(NoticeCode.UPDATE_REVOKED_KEY, file=name, key=signature.key))
+        raise NotTaken(notice(NoticeCode.UPDATE_REVOKED_KEY, file=name, key=signature.key))
     if signature.key not in trusted:
         told = notice(NoticeCode.UPDATE_UNKNOWN_KEY, file=name, key=signature.key, folder=str(box.at(KEYS)))
-        raise Refused(told)
+        raise NotTaken(told)
     incoming = box.at(INCOMING)
     shutil.rmtree(incoming, ignore_errors=True)
     incoming.mkdir(mode=0o700)
@@ -154,17 +154,17 @@ def copied(box: Box, package: Path) -> Path:
         free = shutil.disk_usage(incoming).free
         if needed > free:
             told = notice(NoticeCode.UPDATE_NO_ROOM, file=name, needed_mb=needed / 1e6, free_mb=free / 1e6)
-            raise Refused(told)
+            raise NotTaken(told)
         copy = Path(shutil.copyfile(package, incoming / "package.deb"))
         verify(copy, signature, trusted[signature.key])
     except ForgedError:
-        raise Refused(notice(NoticeCode.UPDATE_FORGED, file=name, key=signature.key)) from None
+        raise NotTaken(notice(NoticeCode.UPDATE_FORGED, file=name, key=signature.key)) from None
     except OSError as error:
         if error.errno == errno.ENOSPC:
             told = notice(NoticeCode.UPDATE_NO_ROOM, file=name, needed_mb=needed / 1e6, free_mb=0.0)
-            raise Refused(told) from None
+            raise NotTaken(told) from None
         why = (error.strerror or str(error)).lower()
-        raise Refused(notice(NoticeCode.UPDATE_UNREADABLE, file=name, why=why)) from None
+        raise NotTaken(notice(NoticeCode.UPDATE_UNREADABLE, file=name, why=why)) from None
     return copy
 
 

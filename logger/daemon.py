@@ -97,8 +97,7 @@ class Daemon:
             addresses=lambda: fold.known_addresses, with_state=warmed, note=note, simulated=simulated,
         )  # fmt: skip
         outlets = Outlets(recording, display, self._events, clock)
-        news = installed() if keep else None
-        self._news = UpdateNews(news, folder, self._report, recording.on_disk_thread)
+        self._news = UpdateNews(installed() if keep else None, folder, self._report, recording)
         run_report = RunReport(outlets, clock, self._report, machine.log.keep_free_megabytes * 1e6)
         self.parts = RunParts(
             clock, supervisor, estimation, buses, outlets, MarkLog(fold, clock, outlets),

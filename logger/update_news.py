@@ -6,14 +6,16 @@ logs, in .updates.told.
 
 import json
 import sys
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from tilth.logger.log import whole_file
 from tilth.schemas.flow import EventKind
 from tilth.schemas.notices import Notice, NoticeCode, Report, in_words, notice
+
+if TYPE_CHECKING:  # the updater looks each minute, and needs no more than the name of its file
+    from tilth.logger.log.run_log import Recording
 
 STATE: Final = "updates.json"
 TOLD: Final = ".updates.told"
@@ -33,13 +35,13 @@ class UpdateNews:
         path: Path | None,
         folder: Path,
         report: Report,
-        on_disk_thread: Callable[[Callable[[], None]], None],
+        recording: "Recording",
     ) -> None:
-        """path: of the updater's file. folder: of the logs. on_disk_thread: runs what waits for the disk."""
+        """path: of the updater's file. folder: of the logs."""
         self._path = path
         self._told = folder / TOLD
         self._report = report
-        self._on_disk_thread = on_disk_thread
+        self._recording = recording
         self._seen: tuple[int, int] | None = None  # of the file: its number and when it was changed
 
     def turn(self) -> None:
@@ -58,7 +60,7 @@ class UpdateNews:
             for entry in fresh:
                 self._report(EventKind.UPDATE, _of(entry))
             if fresh:
-                self._on_disk_thread(partial(whole_file.write, self._told, names[-1].encode()))
+                self._recording.on_disk_thread(partial(whole_file.write, self._told, names[-1].encode()))
         except FileNotFoundError:
             return
         except (OSError, ValueError, KeyError, TypeError) as error:
