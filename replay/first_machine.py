@@ -220,6 +220,7 @@ def _wheel_values(form: _Form, wheel: WheelCandidate) -> dict[str, tuple[str, st
         found["sign"] = (form.text("wheel.sign"), "")
     if wheel.pgn == RUDDER:
         return found
+    found["id"] = (f"0x{wheel.can_id:X}", "")
     if form.text("wheel.way") == "stops":
         turned = wheel.highest - wheel.lowest
         if turned < FEWEST_STEPS:

@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,19 +17,12 @@ from chromium import SOON_MS, serious, with_browser
 from client_daemon import until
 from field_rig import FieldRig
 from loopback import PATIENCE_S
-from paths import ROOT
-from PIL import Image
+from page_seen import SIZES, expect_old, expect_run, picture
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, expect
 from stage import Monitor, Stage
 
 from tilth.simulator.scenario import DrivenManoeuvre, Scenario, Soil, SoilChange
 
-PICTURES = ROOT / "docs/pictures"
-SIZES: dict[str, dict[str, Any]] = {
-    "desktop": {"viewport": {"width": 1440, "height": 900}},
-    "tablet": {"viewport": {"width": 1024, "height": 768}, "has_touch": True},
-    "phone": {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True},
-}
 MOUNTS = ("Tractor front", "Tractor rear", "Implement front", "Implement rear", "Wheel angle")
 REPORT_MS = 3 * SOON_MS  # behind all else
 COLOURS_OF_THE_MAP = """(() => {
@@ -81,33 +73,7 @@ def state_of(page: Page, name: str) -> Any:
     return page.locator(".tile", has=page.get_by_role("heading", name=name, exact=True))
 
 
-def expect_run(page: Page, words: str, state: str) -> None:
-    expect(page.locator("#run-word")).to_have_text(re.compile(words), timeout=SOON_MS)
-    expect(page.locator("#run")).to_have_attribute("data-state", state)
-
-
-OLD = """(kinds) => [...document.querySelectorAll("[data-live]")].every((part) =>
-    !part.checkVisibility() || [...part.querySelectorAll(".age")].every(({ textContent: age }) =>
-        kinds.includes(part.dataset.live) ? /^[\\d.]+ (s|min|h) old$/.test(age) : !age)
-)"""
-
-
-def expect_old(page: Page, *kinds: str) -> None:
-    """Every part of the page that lives on those messages says how old it is; no other does."""
-    page.wait_for_function(OLD, arg=kinds, timeout=SOON_MS)
-    assert page.locator("[data-live] .age").count() >= page.locator("[data-live]").count() > 6
-
-
 LIVE = ("status", "pose", "soil_tire")
-
-
-def picture(request: pytest.FixtureRequest, page: Page, name: str) -> None:
-    if request.config.getoption("--refresh"):
-        PICTURES.mkdir(exist_ok=True)
-        shot = Image.open(BytesIO(page.screenshot(full_page=not name.endswith("phone"))))
-        shot.quantize(200, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-            PICTURES / f"{name}.png", optimize=True
-        )
 
 
 def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.FixtureRequest) -> None:
