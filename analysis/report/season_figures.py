@@ -23,7 +23,7 @@ from tilth.analysis.report.wording import AXLES, SYMBOLS
 from tilth.schemas.spread import scale_of, unit_of
 
 COLOURS: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
-MOST_DAYS_NAMED: Final = 12  # on an axis
+MOST_DAYS_NAMED: Final = 8  # on an axis
 LEAST_LOG_RANGE, LEAST_SD_RANGE = 0.2, 0.05  # of the colours of a map
 
 

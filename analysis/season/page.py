@@ -92,9 +92,11 @@ def _short(made: Season, runs: Sequence[DrivenRun], rows: Sequence[SeasonRow]) -
     hours = sum(one.seconds for one in runs)
     stretches = [row for row in rows if row.kind == STRETCH]
     used = sum(row.known is not None for row in stretches)
+    rigs = _rigs_of(runs)
+    machines = many(len({one.machine for one in rigs}), "machine")
     text = (
-        f"{many(len(runs), 'run')} of {seconds(hours)}, {many(len(_rigs_of(runs)), 'machine')} with an "
-        f"implement. Fitted stretches of driving: {len(stretches)}; {used} of them count."
+        f"{many(len(runs), 'run')} of {seconds(hours)} by {machines}, {many(len(rigs), 'pair')} of machine "
+        f"and implement. Fitted stretches of driving: {len(stretches)}; {used} of them count."
     )
     parts: list[Part] = [ReportText(text)]
     failed = sum(bool(one.found.failure) for one in runs)
