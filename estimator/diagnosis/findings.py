@@ -113,7 +113,7 @@ def _of_latencies(machine: Machine) -> tuple[list[int], Array, Array]:
     prior = latency.prior([by_mount.get(mount, 0.0) for mount in MOUNTS]).covariance
     differences = np.eye(len(present))[1:] - np.eye(len(present))[:1]
     covariance = differences @ prior[np.ix_(present, present)] @ differences.T
-    return present, differences, np.linalg.inv(covariance)
+    return present, differences, np.asarray(np.linalg.inv(covariance), np.float64)
 
 
 @once_for_a_machine

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from tilth.estimator.ties import exceeds
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.reasons import Advice, Code, Reason
+from tilth.schemas.reasons import Advice, Code, Combination, Reason
 
 Array = NDArray[np.float64]
 
@@ -131,6 +132,26 @@ def nuisance_sd(name: str, variance: float, prior_sd: float, moved: float) -> fl
     return math.hypot(said, max(abs(moved) - prior_sd / 2.0, 0.0)) if row.doubted else said
 
 
+class _OfData(NamedTuple):
+    """What the data alone tell of the six."""
+
+    eigenvalues: Array  # (6,), of their information over the prior's
+    bound: tuple[float, ...]  # as Estimate.bound
+    determined: tuple[Combination, ...]
+
+
+@lru_cache(maxsize=8)  # that of a fit stays the same until the next one
+def _of_data(covariance: bytes, prior_sd: bytes, learned: bool) -> _OfData:
+    """covariance: (6, 6), reported. learned: whether anything was."""
+    prior = np.frombuffer(prior_sd)
+    information = advice.information_of(np.frombuffer(covariance).reshape(6, 6), prior)
+    eigenvalues = np.array(advice.eigenvalues(information, prior))
+    if not learned:
+        return _OfData(eigenvalues, (), ())
+    bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior))
+    return _OfData(eigenvalues, bound, advice.determined(information, prior))
+
+
 def six_parameter_estimate(
     state: SixState, machine: Machine, t_ns: int, method: str, covariance: Array, nothing: Code,
     excitation: dict[str, float], advised: Advice | None, stale: Reason | None, today: Array | None = None,
@@ -143,9 +164,8 @@ def six_parameter_estimate(
     """
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
     by_today = sds if today is None else np.sqrt(np.diag(today))
-    information = advice.information_of(covariance, prior_sd)
-    eigenvalues = np.array(advice.eigenvalues(information, prior_sd))
     age = age_s(state.informed_ns, t_ns)
+    of_data = _of_data(covariance.tobytes(), prior_sd.tobytes(), age is not None)
     parameters = []
     of_masses = [float(state.prior_sd[AT[name]] ** 2) for name in OVER]
     over_sds = log_sds_over_masses(covariance, of_masses)
@@ -162,7 +182,6 @@ def six_parameter_estimate(
         parameters.append(parameter(state.mean[k], float(sds[k]), state.has_number[k], age, missing, stale))
     active = np.flatnonzero(np.diag(state.covariance) > 0.0)
     moved = state.mean - state.prior_mean
-    bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior_sd))
     masses = per_mass(machine, state.mean[:3].tolist(), over_sds, over)
     return Estimate(
         t_ns=t_ns,
@@ -180,11 +199,11 @@ def six_parameter_estimate(
             for k in active
             if k > 5
         },
-        rank=int(np.sum(eigenvalues > REPORTING.rank_gain)),
-        condition=condition_number(eigenvalues),
+        rank=int(np.sum(of_data.eigenvalues > REPORTING.rank_gain)),
+        condition=condition_number(of_data.eigenvalues),
         excitation=excitation,
         window_s=state.window_s,
-        determined=advice.determined(information, prior_sd) if age is not None else (),
-        bound=bound if age is not None else (),
+        determined=of_data.determined,
+        bound=of_data.bound,
         advice=advised,
     )
