@@ -41,11 +41,25 @@ def make(root: Path) -> None:
     Raises CalledProcessError, OSError."""
     if not (root / "usr/bin/python3").exists():
         packages = "--include=python3,ca-certificates,libstdc++6,libgomp1"
-        debian = ["mmdebstrap", "--quiet", "--arch=arm64", "--variant=extract", packages, DEBIAN, root]
+        debian: list[str | Path] = [
+            "mmdebstrap",
+            "--quiet",
+            "--arch=arm64",
+            "--variant=extract",
+            packages,
+            DEBIAN,
+            root,
+        ]
         subprocess.run(debian, check=True)
     if not (root / "packages/numba").exists():
         pip = ["uv", "pip", "install", "--quiet", "--python-platform", WHEELS, "--python-version", PYTHON]
-        needed = ["--target", root / "packages", "-r", HERE / "constraints.txt", "setuptools"]
+        needed: list[str | Path] = [
+            "--target",
+            root / "packages",
+            "-r",
+            HERE / "constraints.txt",
+            "setuptools",
+        ]
         subprocess.run([*pip, *needed], check=True)
 
 
@@ -57,7 +71,7 @@ def run(root: Path, *words: str) -> subprocess.CompletedProcess[bytes]:
         "PYTHONDONTWRITEBYTECODE": "1",
         "OPENBLAS_NUM_THREADS": "1",
     }
-    python = [EMULATOR, root / f"usr/bin/python{PYTHON}"]
+    python: list[str | Path] = [EMULATOR, root / f"usr/bin/python{PYTHON}"]
     return subprocess.run([*python, *words], env=os.environ | ours, check=False)
 
 

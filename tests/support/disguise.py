@@ -36,6 +36,6 @@ def _musl(folder: Path) -> Path:
     """A library that answers before glibc's: the same functions from musl."""
     made, shown = folder / "libm_musl.so", folder / "shown"
     shown.write_text("{ global: " + "; ".join(_MATHEMATICS) + "; local: *; };")
-    words = ["gcc", "-shared", "-nostdlib", f"-Wl,--version-script={shown}", "-o", made]
-    subprocess.run([*words, *(f"-Wl,-u,{name}" for name in _MATHEMATICS), MUSL], check=True)
+    words = ["gcc", "-shared", "-nostdlib", f"-Wl,--version-script={shown}", "-o", str(made)]
+    subprocess.run([*words, *(f"-Wl,-u,{name}" for name in _MATHEMATICS), str(MUSL)], check=True)
     return made
