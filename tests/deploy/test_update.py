@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from releases import HERE, SigningKey, package_of
 from small_disk import on_a_small_disk
@@ -196,19 +197,27 @@ def test_a_stick_that_is_pulled_while_it_is_copied(tmp_path: Path) -> None:
     assert not (root / update.INCOMING).exists()
 
 
-def test_a_full_disk_is_a_sentence(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "words"),
+    [("", "4 MB are free; make room"), ("t.update.TIMES_ITS_SIZE = t.update.RESERVE = 0", "0 MB are free")],
+    ids=["seen in advance", "while it is copied"],
+)
+def test_a_full_disk_is_a_sentence(before: str, words: str, tmp_path: Path) -> None:
     root, stick = tmp_path / "root", tmp_path / "stick"
     stick.mkdir()
-    TRUSTED.sign(package_of(stick, "0.3.0"))
+    noise = np.random.default_rng(1).bytes(6_000_000)  # which cannot be packed smaller
+    TRUSTED.sign(package_of(stick, "0.3.0", holds=noise))
     script = (
         "import sys; sys.path[:0] = sys.argv[1].split(':'); from pathlib import Path\n"
         "import test_update as t\n"
+        f"{before}\n"
         "t.installed(Path(sys.argv[2])); sys.exit(t.update.main(['--root', sys.argv[2], sys.argv[3]]))"
     )
     places = ":".join([str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")])
     root.mkdir()
     done = on_a_small_disk(root, "4m", sys.executable, "-c", script, places, root, stick)
-    assert done.status == 0 and "MB on the disk, 4 MB are free; make room" in done.out, done.err
+    assert done.status == 0 and words in done.out, done.err
+    assert not [path for path in done.left if "incoming" in path]
 
 
 def test_keys_come_from_the_computer_and_from_the_release_and_what_is_none_is_left_out(

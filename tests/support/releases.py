@@ -82,14 +82,17 @@ def release_of(wheel: Path, folder: Path, version: str, broken: Mapping[str, byt
     return package
 
 
-def package_of(folder: Path, version: str, architecture: str = HERE, *, said: str = "") -> Path:
-    """A small one, with nothing in it. said: the architecture in its name, where it is another one."""
+def package_of(
+    folder: Path, version: str, architecture: str = HERE, *, said: str = "", holds: bytes = b""
+) -> Path:
+    """A small one, of one file. said: the architecture in its name, where it is another one."""
     tree = folder / "tree"
     (tree / "DEBIAN").mkdir(parents=True)
     fields = (
         f"Package: tilth\nVersion: {version}-1\nArchitecture: {architecture}\nMaintainer: T <t@example.org>\n"
     )
     (tree / "DEBIAN/control").write_text(f"{fields}Description: none\n")
+    (tree / "file").write_bytes(holds)
     package = folder / f"tilth_{version}-1_{said or architecture}.deb"
     subprocess.run(["dpkg-deb", "--build", tree, package], check=True, stdout=subprocess.DEVNULL)
     shutil.rmtree(tree)
