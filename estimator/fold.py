@@ -343,7 +343,7 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
     _apply(state, diagnosis.look_at_places(state.diagnosis, state.aligner, pose, t_ns), t_ns, out)
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
-    if not state.ready or not _lengths_known(state, t_ns, pose, out):
+    if not _lengths_known(state, t_ns, pose, out) or not state.ready:
         return
     evidence = None
     if diagnosis.is_judged(state.aligner, pose):
