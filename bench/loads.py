@@ -74,7 +74,7 @@ def of_fleet(case: Case, seed: int) -> LoadedRig | None:
     if mass > LIGHT or FULL * mass > MOST_TOWED * rig.tractor.mass:
         return None
     drive = scenario_of(rig, scenario(case))
-    theta = [rig.parameters[name] for name in PARAMETERS[:3]]
+    theta = [rig.parameters["C_af"], rig.parameters["C_ar"], rig.parameters["C_ai"]]
     return LoadedRig(owners_text(rig), true_machine(rig), mass, drive, theta)
 
 

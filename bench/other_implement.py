@@ -22,9 +22,8 @@ from typing import Any, Final
 from estimation_study import fitted_at_once
 
 from tilth.estimator import fold
-from tilth.estimator.diagnosis import strange_implement
 from tilth.estimator.diagnosis.strange_implement import found_lengths
-from tilth.schemas.flow import PARAMETERS, Estimate, Event, FlagKind, Frame, Pose
+from tilth.schemas.flow import PARAMETERS, Estimate, Event, FlagKind, Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.sentences import event_sentence
@@ -88,15 +87,13 @@ def lengths_of(rig: FleetRig, plant: str, estimates: bool) -> str:
     for frame in frames:
         start_ns = start_ns or frame.t_ns
         moved_s = (frame.t_ns - start_ns) * 1e-9 - PARKED_S
-        out = [*(fitted_at_once(state, frame.t_ns) if estimates else []), *fold.step(state, frame)]
+        if estimates:
+            fitted_at_once(state, frame.t_ns)
+        fold.step(state, frame)
         if estimates:
             fold.request_fits(state, frame.t_ns)
-        for publication in out:
-            value = publication.value
-            if isinstance(value, Pose) and not estimates:
-                strange_implement.observe(state.strange, state.file, state.aligner, value)
-            if state.strange.used and not begun:
-                begun = f"used after {moved_s:.0f} s"
+        if state.strange.used and not begun:
+            begun = f"used after {moved_s:.0f} s"
         if marks and moved_s >= 60 * marks[0]:
             said.append(f"{marks.pop(0)} min: {off(rig, state)}")
     line = "; ".join([*said, begun or "never used"])

@@ -351,12 +351,11 @@ def _publish_pose(state: State, t_ns: int, pose: Pose, out: list[Publication]) -
         state.waiting.clear()
     segment = record_builder.observe(state.record, state.aligner, pose)
     state.segments.append(segment)
+    if not _lengths_known(state, t_ns, pose, out):
+        return
     state.waiting.append(WaitingPose(pose, segment, diagnosis.is_judged(state.aligner, pose)))
     if not state.ready:
         del state.waiting[: -FOLD.poses_waiting]
-        return
-    if not _lengths_known(state, t_ns, pose, out):
-        state.waiting.clear()
         return
     for _ in range(min(len(state.waiting), FOLD.poses_at_once)):
         if state.waiting:  # else one of them began anew

@@ -22,8 +22,11 @@ from tilth.estimator.pose.pose import poses
 from tilth.estimator.rig.adjustments import Amount
 from tilth.estimator.rig.numbers import changed
 from tilth.estimator.snapshot import restore, snapshot
+from tilth.schemas.flow import Event, Frame, Publication
 from tilth.schemas.machine import Machine
 from tilth.schemas.sentences import notice_sentence
+from tilth.simulator.scenario import Scenario
+from tilth.simulator.traffic import simulate
 
 PLAN: Plan = (
     (6, 0.0, 0), (8, 3.0, 0), (10, 1.6, 20), (10, 1.6, -20), (10, 3.0, 8), (10, 3.0, -8), (10, 1.6, 20),
@@ -115,6 +118,33 @@ def test_a_stored_state_has_them() -> None:
     again = restore(file, snapshot(state))
     assert again.empty == with_found(file, state.strange.used) and again.file == file
     assert snapshot(again) == snapshot(state)
+
+
+@pytest.mark.long
+def test_the_fold_uses_what_it_finds_and_a_stored_state_goes_on_alike() -> None:
+    scenario = Scenario(
+        speed=((12.0, 0.0), (30.0, 3.0), (40.0, 1.8)),
+        steering=((3.0, 0.0), (9.0, 18.0), (9.0, -18.0)),
+        other_traffic=False,
+    )
+    file = undescribed(changed(MACHINE, {name: Amount(by) for name, by in OFF.items()}))
+    state, events, after = fold.initial(file), list[Event](), list[Frame]()
+    state.ready = False  # poses only
+    again, seen = state, list[list[Publication]]()
+    for frame in simulate(MACHINE, 3, 80.0, scenario):
+        out = fold.step(state, frame)
+        events += [p.value for p in out if isinstance(p.value, Event) and p.value.kind == "implement"]
+        if state.strange.used is None:
+            continue
+        if not after:
+            again = restore(file, snapshot(state))
+        else:
+            seen.append(out)
+        after.append(frame)
+    assert [event.notice.code for event in events[:1]] == ["implement_lengths"]
+    assert not state.diagnosis.confirmed and state.machine.implement.d.sd < 0.05
+    assert abs(drawbar(state.machine) - drawbar(MACHINE)) < 0.25
+    assert [fold.step(again, frame) for frame in after[1:]] == seen
 
 
 def test_nothing_is_kept_for_the_next_run() -> None:
