@@ -259,9 +259,10 @@ def _checked(draft: Path, folder: Path) -> dict[str, Any]:
             words_of("tilth.cli", *words),
             capture_output=True, text=True, check=False, timeout=LONGEST_CHECK_S,
         )  # fmt: skip
-        found: dict[str, Any] = json.loads(done.stdout)
     except subprocess.TimeoutExpired:
         return {"ok": False, "checks": [_problem(f"no answer within {LONGEST_CHECK_S:g} s")]}
+    try:
+        found: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
         last = done.stderr.strip().splitlines()[-1:] or ["no reason given"]
         return {"ok": False, "checks": [_problem(last[0].replace(str(draft), "machine.toml"))]}

@@ -34,6 +34,7 @@ class FirstMachine(Protocol):
     @property
     def is_first(self) -> bool:
         """Whether there is no machine file yet."""
+        ...
 
     def heard(self) -> dict[str, Any]: ...
 

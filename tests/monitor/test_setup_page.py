@@ -50,7 +50,7 @@ def test_from_a_code_to_a_checked_machine_file(
         mount = card.get_by_label("Mounted").evaluate("(one) => one.selectedOptions[0].text")
         for label, text in (("ahead of", AHEAD[mount]), ("right of", "0"), ("above", "2.9")):
             card.get_by_label(label).fill(text)
-    card.get_by_label("ahead of").focus()
+    page.get_by_label("ahead of").first.focus()
     expect(page.locator(".antenna [data-lit]")).to_have_count(1)
     found.append(serious(page))
     following.click()
