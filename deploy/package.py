@@ -50,7 +50,7 @@ def main(words: Sequence[str] | None = None) -> int:
 def gather(folder: Path) -> Path:
     """Tilth's wheel from this checkout, and wheels of what it needs in the versions of constraints.txt."""
     environment = {**os.environ, "SOURCE_DATE_EPOCH": commit_s()}
-    build = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
+    build: list[str | Path] = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
     subprocess.run(build, check=True, env=environment)
     (own,) = folder.glob("tilth-*.whl")
     pip: list[str | Path] = ["uv", "tool", "run", "--python", sys.executable, "pip", "wheel", "--quiet"]

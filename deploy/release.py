@@ -95,7 +95,7 @@ def notes_of(changelog: str, version: str) -> str:
 
 def bill_of_materials() -> str:
     """Of the lock file, by uv; with the time of the commit and a number that follows from it."""
-    asked = ["uv", "export", "--quiet", "--project", CHECKOUT, "--locked", "--no-dev"]
+    asked: list[str | Path] = ["uv", "export", "--quiet", "--project", CHECKOUT, "--locked", "--no-dev"]
     asked += ["--format", "cyclonedx1.5"]
     said = subprocess.run(asked, check=True, capture_output=True, text=True).stdout
     bill = json.loads(said)

@@ -41,8 +41,10 @@ def use(logged: Iterable[Tie] = ()) -> Ties:
 
 
 def begin(t_ns: int) -> None:
-    """What follows is decided with the frame of t_ns."""
-    (_TIES.get(None) or use()).t_ns = t_ns
+    """What follows is decided with the frame of t_ns. What a fold before this one left is none of its own."""
+    ties = _TIES.get(None) or use()
+    ties.t_ns = t_ns
+    ties.found.clear()
 
 
 def found() -> list[Tie]:

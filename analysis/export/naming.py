@@ -32,6 +32,7 @@ _NO_VALUES: Final = (
     "addresses",
     "fit",
     "ready",
+    "tie",
     "rig",
     "report",
     CAN,

@@ -107,5 +107,5 @@ def test_each_number_that_may_be_absent_says_so_where_it_is_read_first(message: 
     head, _, body = PROTO.partition("syntax")
     assert "optional" in head and "0.0" in head and "HasField" in head
     if message.name in ("BodyPose", "Pose", "Parameter", "SoilTireEstimate"):
-        text = body.partition(f"message {message.name} {{")[2].partition("\n}")[0]
-        assert "absent" in text
+        before, _, fields = body.partition(f"message {message.name} {{")
+        assert "absent" in before.rpartition("}")[2] + fields.partition("\n}")[0]

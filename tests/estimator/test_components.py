@@ -34,6 +34,7 @@ NO_TUNING: Mapping[str, tuple[str, ...]] = {
     "filters/soil_change": ("DIRECTIONS",),
     "filters/straight_driving": ("NOBODY", "PLACES"),
     "filters/tracker_kernel": ("BAD", "GATED", "GROUND", "SENSORS", "USED"),
+    "methods/tracker": ("_GROUNDS",),
     "filters/two_step_fit": ("OUTPUT_STATES", "PREDICTOR_STATES"),
     "models/nonlinear": ("DYNAMIC",),
     "models/rolling_terms": ("SPEEDS",),

@@ -38,6 +38,7 @@ def test_all_where_none_is_wanted() -> None:
         "addresses",
         "fit",
         "ready",
+        "tie",
         "rig",
         "report",
         "can",
