@@ -98,6 +98,6 @@ def test_minisign_and_these_tests_sign_alike(hello: Path, tmp_path: Path) -> Non
     key.sign(hello, "of the tests")
     public = tmp_path / "key.pub"
     public.write_text(key.public())
-    said = ["minisign", "-V", "-p", public, "-m", hello]
+    said: list[str | Path] = ["minisign", "-V", "-p", public, "-m", hello]
     done = subprocess.run(said, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "Trusted comment: of the tests" in done.stdout, done.stderr

@@ -81,7 +81,7 @@ def test_a_release_is_signed_and_the_same_twice(tmp_path: Path, wheel: Path) -> 
         "package.CHECKOUT = release.CHECKOUT = Path(sys.argv.pop(1))\nsys.exit(release.main())"
     )
     for name in ("once", "twice"):
-        words = [sys.executable, "-c", code, checkout, tmp_path / name, "--wheels", wheels]
+        words: list[str | Path] = [sys.executable, "-c", code, checkout, tmp_path / name, "--wheels", wheels]
         words += ["--key", tmp_path / "k.key"]
         done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ})
         assert done.returncode == 0, done.stderr
@@ -90,10 +90,17 @@ def test_a_release_is_signed_and_the_same_twice(tmp_path: Path, wheel: Path) -> 
     deb = package.name
     assert {deb, f"{deb}.minisig", SUMS, f"{SUMS}.minisig", "notes.md", wheel.name} < set(once)
     for signed in (deb, SUMS):
-        check = ["minisign", "-V", "-p", tmp_path / "k.pub", "-m", tmp_path / "once" / signed]
+        check: list[str | Path] = [
+            "minisign",
+            "-V",
+            "-p",
+            tmp_path / "k.pub",
+            "-m",
+            tmp_path / "once" / signed,
+        ]
         assert subprocess.run(check, capture_output=True, check=False).returncode == 0
         _, key = read_key((tmp_path / "k.pub").read_text())
         verify(tmp_path / "once" / signed, read_signature(once[f"{signed}.minisig"].decode()), key)
-    check = ["sha256sum", "--check", "--strict", "--quiet", SUMS]
-    assert subprocess.run(check, cwd=tmp_path / "once", capture_output=True, check=False).returncode == 0
+    sums = ["sha256sum", "--check", "--strict", "--quiet", SUMS]
+    assert subprocess.run(sums, cwd=tmp_path / "once", capture_output=True, check=False).returncode == 0
     assert len(once[SUMS].splitlines()) == len(once) - 3  # all but itself and the signatures

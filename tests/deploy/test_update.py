@@ -13,7 +13,7 @@ import pytest
 from releases import HERE, SigningKey, package_of
 from small_disk import on_a_small_disk
 
-from tilth.deploy import update
+from tilth.deploy import install, update
 from tilth.schemas.notices import NoticeCode
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb: not on Debian")
@@ -188,8 +188,19 @@ def test_a_stick_that_is_pulled_while_it_is_copied(tmp_path: Path) -> None:
     package = package_of(stick, "0.3.0")
     TRUSTED.sign(package)
     script = 'mount --bind /proc/$$/mem "$1" && shift && exec "$@"'
-    look = [sys.executable, "-m", "tilth.deploy.update", "--root", root, stick]
-    unshare = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, "sh", package, *look]
+    look: list[str | Path] = [sys.executable, "-m", "tilth.deploy.update", "--root", root, stick]
+    unshare: list[str | Path] = [
+        "unshare",
+        "--user",
+        "--map-root-user",
+        "--mount",
+        "sh",
+        "-c",
+        script,
+        "sh",
+        package,
+        *look,
+    ]
     done = subprocess.run(unshare, capture_output=True, text=True, check=False)
     if "mount:" in done.stderr or "unshare:" in done.stderr:
         pytest.skip(f"nobody may mount here: {done.stderr}")
@@ -229,7 +240,7 @@ def test_keys_come_from_the_computer_and_from_the_release_and_what_is_none_is_le
     (own / "revoked").write_text(f"{TRUSTED.name}\n")
     (root / update.KEYS / "notes.pub").write_text("no key")
     monkeypatch.setattr(update, "OWN_KEYS", own)
-    trusted, revoked = update.keys(update.Box(root))
+    trusted, revoked = update.keys(install.Box(root))
     assert set(trusted) == {TRUSTED.name, REVOKED.name, STRANGER.name}
     assert revoked == {TRUSTED.name, REVOKED.name}
     assert "notes.pub is no public key" in capsys.readouterr().err

@@ -141,7 +141,7 @@ def test_killed_at_any_instant_the_release_before_or_the_next_runs_and_another_l
     stick = tmp_path / "stick"
     KEY.sign(release_of(wheel, stick, "9.0.0"))
     code = "import sys; from tilth.deploy import update; update.TRIAL_S = 0.0; sys.exit(update.main())"
-    look = [sys.executable, "-c", code, "--root", box.root, stick]
+    look: list[str | Path] = [sys.executable, "-c", code, "--root", box.root, stick]
     saved = tmp_path / "saved"
     subprocess.run(["cp", "-a", box.root, saved], check=True)
     took_s = time.monotonic()
@@ -164,7 +164,7 @@ def test_killed_at_any_instant_the_release_before_or_the_next_runs_and_another_l
         assert version(box) in ("0.1.0", "9.0.0") and version(box, "keeper") in ("0.1.0", "9.0.0")
         for link in ("current", "keeper"):
             python = box.root / "opt/tilth" / link / "bin/python"
-            words = [python, "-P", "-c", "import tilth.cli.run, tilth.deploy.update"]
+            words: list[str | Path] = [python, "-P", "-c", "import tilth.cli.run, tilth.deploy.update"]
             assert subprocess.run(words, env=box.environment, check=False).returncode == 0, state
         assert subprocess.run(look, capture_output=True, check=False).returncode == 0
         assert codes(box)[-1] == NoticeCode.UPDATE_NOT_RECORDING, state

@@ -48,7 +48,7 @@ def stage(out: Path, wheel: Path) -> None:
     (out / "resting.toml").write_text(text.replace("[log]", "[log]\nignition_off_s = 3"))
     (out / "ours.pub").write_text(KEY.public())
     for folder, version, broken in (("first", wheel.name.split("-")[1], None), *RELEASES):
-        KEY.sign(release_of(wheel, out / folder, version, broken and {"tilth/cli/run.py": broken}))
+        KEY.sign(release_of(wheel, out / folder, version, {"tilth/cli/run.py": broken} if broken else None))
 
 
 def judge(out: Path) -> None:
