@@ -114,15 +114,14 @@ def publish(
     """A process: some daemons, in real time; tells how much each has put."""
     text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
     machine = parse_machine(text.replace('prefix = "tilth"', f'prefix = "{ROOT}"'))
+    sessions = [zenoh.open(config_of("client", endpoint, patient)) for _ in numbers[::together]]
     sinks = []
     for k, number in enumerate(numbers):
-        if k % together == 0:
-            session = zenoh.open(config_of("client", endpoint, patient))
         named = machine.machine.model_copy(update={"name": f"tractor{number:03d}"})
         of = machine.model_copy(
             update={"machine": named, "zenoh": machine.zenoh.model_copy(update={"prefix": ROOT})}
         )
-        sinks.append(ZenohSink(of, session=session))
+        sinks.append(ZenohSink(of, session=sessions[k // together]))
     ready.set()
     begin.wait()
     before, began, count = cpu_s(), time.monotonic(), 0

@@ -159,10 +159,10 @@ def _text(value: Any) -> str:
     if not hasattr(named, "__qualname__"):
         return repr(value)
     text = f"{named.__module__}.{named.__qualname__}"
+    if _is_named_tuple(named):
+        return f"{text} {named._fields} {[(key, _text(one)) for key, one in named._field_defaults.items()]}"
     if isinstance(named, type) and issubclass(named, Enum):
         text += f" {[(key, _text(one.value)) for key, one in named.__members__.items()]}"
-    if _is_named_tuple(named):
-        text += f" {named._fields} {[(key, _text(one)) for key, one in named._field_defaults.items()]}"
     return text
 
 
