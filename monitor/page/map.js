@@ -7,6 +7,8 @@ const CLOSEST = 120, FARTHEST = 0.02; // pixels per metre
 // Lengths are those of the machine file. It tells no widths: these are usual ones.
 const TRACK = 1.9, REAR_WHEEL = [1.9, 0.6], FRONT_WHEEL = [1.4, 0.45], CART_WHEEL = [1.7, 0.6], CART_WIDTH = 2.6;
 
+const noTrack = () => ({ t: [], tractor: [], implement: [], quality: [] });
+
 export class FieldMap {
   constructor(canvas, onFollow) {
     this.canvas = canvas;
@@ -14,7 +16,7 @@ export class FieldMap {
     this.centre = [0, 0]; // north, east
     this.scale = 12;
     this.following = true;
-    this.track = { t: [], tractor: [], implement: [], quality: [] };
+    this.track = noTrack();
     this.pointers = new Map();
     this.drawing = false;
     this.recolour();
@@ -28,7 +30,7 @@ export class FieldMap {
     this.draw();
   }
 
-  setTrack(track) {
+  setTrack(track = noTrack()) { // what a browser has kept has none
     this.track = track;
     this.draw();
   }
