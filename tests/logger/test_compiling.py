@@ -263,9 +263,10 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
     output, result = demo(ours if expected else nowhere, tmp_path / "logs")
     logs = [Path(name) for name in output["log"]]  # one, unless this computer is very busy
     frame_s, ready_s, estimate_s = seconds_of(logs)
-    # The virtual tractor has kernels of its own, which are compiled before it drives.
-    assert frame_s + 5.0 < ready_s <= estimate_s < ready_s + 3.0
-    assert output["duration_s"] > ready_s + 4.0  # its time counts from then
+    # The virtual tractor has kernels of its own, which are compiled before it drives. What was driven since
+    # is caught up with within 3 s, and estimates come each second.
+    assert frame_s + 5.0 < ready_s <= estimate_s < ready_s + 4.5
+    assert output["duration_s"] > ready_s - frame_s + 4.0  # its time counts from then
     assert (
         result.count("compiled: compiling kernels")
         == result.count("compiled: kernels were compiled for")
