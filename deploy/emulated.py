@@ -41,16 +41,8 @@ def make(root: Path) -> None:
     Raises CalledProcessError, OSError."""
     if not (root / "usr/bin/python3").exists():
         packages = "--include=python3,ca-certificates,libstdc++6,libgomp1"
-        debian: list[str | Path] = [
-            "mmdebstrap",
-            "--quiet",
-            "--arch=arm64",
-            "--variant=extract",
-            packages,
-            DEBIAN,
-            root,
-        ]
-        subprocess.run(debian, check=True)
+        debian: list[str | Path] = ["mmdebstrap", "--quiet", "--arch=arm64", "--variant=extract"]
+        subprocess.run([*debian, packages, DEBIAN, root], check=True)
     if not (root / "packages/numba").exists():
         pip = ["uv", "pip", "install", "--quiet", "--python-platform", WHEELS, "--python-version", PYTHON]
         needed: list[str | Path] = [

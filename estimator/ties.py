@@ -8,6 +8,7 @@ As the context of `decimal`, ties are those of the thread that runs the fold. Wh
 decision is a plain comparison.
 """
 
+import math
 from collections.abc import Iterable
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -72,3 +73,9 @@ def exceeds(statistic: float, threshold: float, tolerance: float = LEARNED) -> b
     if far < near:
         ties.found.append(Tie(ties.t_ns, float(statistic), float(threshold), above))
     return above
+
+
+def within(statistic: float, threshold: float, tolerance: float = LEARNED) -> bool:
+    """Whether statistic <= threshold, likewise. What is no number is within nothing, so supports none."""
+    known = not (math.isnan(statistic) or math.isnan(threshold))
+    return known and not exceeds(statistic, threshold, tolerance)

@@ -25,7 +25,7 @@ from tilth.estimator.filters import unknowns
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.rig.numbers import NUMBER
 from tilth.estimator.state_json import Shape
-from tilth.estimator.ties import exceeds
+from tilth.estimator.ties import exceeds, within
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Combination, Reason
@@ -77,7 +77,7 @@ class Widening:
     @property
     def confirms(self) -> bool:
         """Whether no error that may still be in the file moves a stiffness by much."""
-        return not exceeds(float(np.sqrt(np.diag(self.covariance)[:3]).max()), WIDENING.confirmed)
+        return within(float(np.sqrt(np.diag(self.covariance)[:3]).max()), WIDENING.confirmed)
 
     def limit(self, own: float, had: bool = False) -> float:
         """Largest sd of a logarithm that is given. own: by the method; had: it was given before."""
@@ -87,7 +87,7 @@ class Widening:
         """Why parameter k is wide, or not given; None where nothing is to be said."""
         added, key = math.sqrt(self.covariance[k, k]), NUMBER[self.by[k]].key
         total = math.hypot(own, added)
-        if not exceeds(total, limit):
+        if within(total, limit):
             return Reason(Code.WIDENED, (key,), (added,)) if exceeds(total, WIDENING.said * own) else None
         if self.doubted[k]:
             return Reason(Code.DOUBTED, (key,))
@@ -109,9 +109,9 @@ class OfSoil:
     def reason(self, k: int, own: float, limit: float) -> Reason | None:
         """As of `Widening`."""
         total = math.hypot(own, math.sqrt(self.covariance[k, k]))
-        if not exceeds(total, WIDENING.said * own):
+        if within(total, WIDENING.said * own):
             return None
-        return Reason(Code.NOT_KNOWN_HERE if exceeds(total, limit) else Code.OTHER_SOIL, numbers=(total,))
+        return Reason(Code.OTHER_SOIL if within(total, limit) else Code.NOT_KNOWN_HERE, numbers=(total,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class OfEvenGround:
     def reason(self, k: int, own: float, limit: float) -> Reason | None:
         """As of `Widening`."""
         total = math.hypot(own, math.sqrt(self.covariance[k, k]))
-        return Reason(Code.WIDE, numbers=(total,)) if exceeds(total, limit) else None
+        return None if within(total, limit) else Reason(Code.WIDE, numbers=(total,))
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ from tilth.estimator.results.reporting import (
     stale_reason,
 )
 from tilth.estimator.state_json import Shape
-from tilth.estimator.ties import exceeds
+from tilth.estimator.ties import exceeds, within
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import PARAMETERS, Estimate, EventKind, ParameterEstimate, Pose, Status
 from tilth.schemas.machine import Machine
@@ -408,7 +408,7 @@ def _update_supported(state: SteadyState) -> None:
     for k, was_supported in enumerate(state.supported):
         limit = REPORTING.withdrawn if was_supported else ADVICE.supported
         sd = math.sqrt(state.log_covariance[k, k])
-        state.supported[k] = of_data.rank(limit) == 3 and not exceeds(sd, limit * float(state.prior_sd[k]))
+        state.supported[k] = of_data.rank(limit) == 3 and within(sd, limit * float(state.prior_sd[k]))
 
 
 def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:

@@ -15,7 +15,7 @@ import numpy as np
 
 from tilth.estimator.pose.aligner import ALIGNMENT
 from tilth.estimator.record.record import PSI, TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
-from tilth.estimator.ties import exceeds
+from tilth.estimator.ties import exceeds, within
 from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code
 from tilth.schemas.tolerances import MADE
@@ -124,4 +124,4 @@ def _is_straight(segment: Segment, straight_on: float) -> bool:
     ticks = segment.record.ticks
     turned = float(np.max(np.abs(ticks[:, WHEEL_ANGLE] - straight_on)))
     folded = float(np.max(np.abs(ticks[:, PSI] - ticks[:, PSI + 1])))
-    return not (exceeds(turned, ROWS.straight) or exceeds(folded, ROWS.folded, MADE))
+    return within(turned, ROWS.straight) and within(folded, ROWS.folded, MADE)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, Segment, concatenate
-from tilth.estimator.ties import exceeds
+from tilth.estimator.ties import exceeds, within
 from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code, Reason
 
@@ -167,9 +167,7 @@ def _has_steering(window: list[Segment], least_steering: float) -> bool:
 
     least_steering: as of `collect`.
     """
-    return not exceeds(
-        least_steering**2 * WINDOWS.longest, float(np.var(_wheel_angles(window))) * len(window)
-    )
+    return within(least_steering**2 * WINDOWS.longest, float(np.var(_wheel_angles(window))) * len(window))
 
 
 def _lacking(window: list[Segment], zero: float) -> Code:

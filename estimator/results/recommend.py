@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from tilth.estimator.diagnosis.widening import OfEvenGround, widened
-from tilth.estimator.ties import exceeds
+from tilth.estimator.ties import exceeds, within
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.reasons import Code, Reason
@@ -91,15 +91,10 @@ def disagreement(estimates: Mapping[str, Estimate], before: bool) -> Reason | No
     for k, one in enumerate(candidates):
         for other in candidates[k + 1 :]:
             distance, shared = _distance(one, other)
-            if shared and _is_beyond(distance, limits[shared]):
+            if shared and not within(distance, limits[shared]):  # nan counts as disagreement
                 numbers = (distance, float(shared), RECOMMENDATION.disagree_above[shared])
                 return Reason(Code.DISAGREE, (one.method, other.method), numbers)
     return None
-
-
-def _is_beyond(distance: float, limit: float) -> bool:
-    """What is no number counts as disagreement."""
-    return math.isnan(distance) or exceeds(distance, limit)
 
 
 def beside_better(estimate: Estimate, estimates: Mapping[str, Estimate]) -> Estimate:
@@ -111,7 +106,7 @@ def beside_better(estimate: Estimate, estimates: Mapping[str, Estimate]) -> Esti
     better = [m for m in PREFERRED[:-1] if m in estimates and not (m == "pem" and _outdated(estimates))]
     for other in (estimates[m] for m in better):
         distance, shared = _distance(other, estimate)
-        if shared and _is_beyond(distance, limit := RECOMMENDATION.disagree_above[shared]):
+        if shared and not within(distance, limit := RECOMMENDATION.disagree_above[shared]):
             reason = Reason(Code.DISAGREE, (other.method, estimate.method), (distance, float(shared), limit))
             parameters = tuple(
                 one if one.value is None else ParameterEstimate(None, None, Status.INVALID, reason, one.age_s)

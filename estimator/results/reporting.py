@@ -13,7 +13,7 @@ from tilth.estimator.filters.unknowns import AT, NAMES, SIX, UNKNOWNS
 from tilth.estimator.results import advice
 from tilth.estimator.results.advice import ADVICE
 from tilth.estimator.results.method_state import SixState
-from tilth.estimator.ties import exceeds
+from tilth.estimator.ties import exceeds, within
 from tilth.estimator.tuning import tuned
 from tilth.schemas.flow import Estimate, ParameterEstimate, Status
 from tilth.schemas.machine import Machine
@@ -55,7 +55,7 @@ def age_s(informed_ns: int, t_ns: int) -> float | None:
 def is_supported(has_number: bool, sd_log: float, prior_sd: float) -> bool:
     """Whether a logarithm's sd is small enough for a number, with hysteresis: has_number, whether it had
     one."""
-    return not exceeds(sd_log, (REPORTING.withdrawn if has_number else ADVICE.supported) * prior_sd)
+    return within(sd_log, (REPORTING.withdrawn if has_number else ADVICE.supported) * prior_sd)
 
 
 def stale_reason(code: Code, seconds: float | None) -> Reason | None:

@@ -1,6 +1,8 @@
 """Decisions within rounding of their threshold are logged, and a replay elsewhere goes on from the log."""
 
+import contextvars
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ from logs import MACHINE, MACHINE_TEXT, record
 
 from tilth.estimator import ties
 from tilth.estimator.record import record_builder
+from tilth.estimator.results.reporting import is_supported
 from tilth.logger import fitting
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.replay import compare
@@ -86,3 +89,20 @@ def test_a_replay_elsewhere_goes_on_from_the_logged_decision(
     replay([path], MachineFile(MACHINE, MACHINE_TEXT), outputs=ReplayOutputs(comparison=comparison))
     assert (comparison.turned, bool(comparison.difference)) == ((1, False) if kept else (0, True))
     assert TIE_TOPIC not in comparison.difference
+
+
+@pytest.mark.parametrize("statistic", [0.0, LIMIT, math.inf, math.nan])
+@pytest.mark.parametrize("threshold", [0.0, LIMIT, math.inf, math.nan])
+@pytest.mark.parametrize("begin", [lambda: None, ties.use], ids=["no fold", "a fold"])
+def test_they_are_comparisons_and_what_is_no_number_is_within_nothing(
+    statistic: float, threshold: float, begin: Callable[[], object]
+) -> None:
+    def both() -> tuple[bool, bool]:
+        begin()
+        return ties.exceeds(statistic, threshold), ties.within(statistic, threshold)
+
+    assert contextvars.Context().run(both) == (statistic > threshold, statistic <= threshold)
+
+
+def test_an_sd_that_is_no_number_supports_none() -> None:
+    assert is_supported(True, 0.1, 1.0) and not is_supported(True, math.nan, 1.0)
