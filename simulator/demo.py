@@ -118,9 +118,7 @@ def run_demo(
         )
     if player.sent is None:
         files = " ".join(str(path) for path in summary.log_files)
-        raise DemoError(
-            f"the simulator died before its end ({player.died}); what came until then is in {files}"
-        )
+        raise DemoError(f"the simulator died before its end; what came until then is in {files}")
     return Demo(seed, draw(machine, seed, scenario), summary, player.sent)
 
 
@@ -162,9 +160,8 @@ class Player:
     """The second process: see socketcand_server.main."""
 
     def __init__(self, order: dict[str, Any], stop: Callable[[], bool], say: Callable[[str], None]) -> None:
-        """Returns once the daemon may listen. Raises DemoError where it does not start."""
+        """Returns once it has driven and is ready to play. Raises DemoError where it does not start."""
         self.sent: int | None = None  # frames, as soon as it says so
-        self.died = ""  # of what, before it said so
         self._ended_s: float | None = None
         self._told_to_stop = False
         with demo_errors("the simulator"):
@@ -185,8 +182,8 @@ class Player:
                 line = self._job.next(0.0)
                 self.sent = None if line is None else json.loads(line)["sent"]
                 over = line is not None
-            except JobEnded as why:
-                over, self.died = True, str(why)
+            except JobEnded:
+                over = True
             self._ended_s = time.monotonic() if over else None
             return False
         # What was sent last may still be on its way, on a busy computer for a second or two.
@@ -213,7 +210,7 @@ def first_fact(job: Job, stop: Callable[[], bool], say: Callable[[str], None] = 
         if stop():
             raise DemoError("stopped before it began")
         if tick == round(SOON_S / TICK_S):
-            say("starting the simulator")
+            say("preparing the tractor's model")
     raise JobEnded(f"it said nothing for {STARTING_S:.0f} s")
 
 

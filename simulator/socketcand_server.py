@@ -1,9 +1,9 @@
 """A CAN bus over TCP on this computer: plays frames in real time to every client, in socketcand's words.
 
 So a whole rig can be tried with no CAN hardware, no privilege and no network beyond loopback. `main` is a
-process of its own: it reads one JSON line (machine_text, seed, seconds), answers with the port, drives the
-tractor, begins when a client listens too, plays until the end or until the next line, says how many frames it
-has sent, and ends when its input is closed, so that it cannot outlive whoever started it.
+process of its own: it reads one JSON line (machine_text, seed, seconds), drives the tractor, answers with the
+port, begins when the first client listens, plays until the end or until the next line, says how many frames
+it has sent, and ends when its input is closed, so that it cannot outlive whoever started it.
 """
 
 import json
@@ -12,7 +12,6 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import BinaryIO, Final
 
@@ -181,22 +180,21 @@ def main() -> None:
         order = json.loads(orders.readline())
         machine = parse_machine(order["machine_text"])
         scenario = replace(from_json(order["scenario"]), clock_offset_s=0.0)
+        truth = drive(machine, order["seed"], order["seconds"], scenario)
         server = open_server()
-        _tell({"port": server.port})  # before it drives: the first time, its kernels are compiled then
-        truth = ThreadPoolExecutor(1).submit(drive, machine, order["seed"], order["seconds"], scenario)
+        _tell({"port": server.port})
         _tell({"sent": _play_truth(server, machine, truth, orders)})
         while not (server.serve(1.0, orders) and orders.readline() == b""):
             continue
 
 
-def _play_truth(server: SocketcandServer, machine: Machine, driven: Future[Truth], orders: BinaryIO) -> int:
-    """Play from the moment that it is driven and somebody listens; how many frames."""
-    while not (server.listening() and driven.done()):
+def _play_truth(server: SocketcandServer, machine: Machine, truth: Truth, orders: BinaryIO) -> int:
+    """Play from the moment that somebody listens; how many frames."""
+    while not server.listening():
         if server.serve(0.02, orders):
             return 0
     clock = Clock()
     start_ns = (clock.t_ns() + START_DELAY_NS) // 10_000_000 * 10_000_000
-    truth = driven.result()
     begun = replace(truth, scenario=replace(truth.scenario, utc_start_ns=start_ns))
     return play(server, traffic(machine, begun), clock, orders)
 

@@ -29,7 +29,7 @@ from tilth.logger.preparing import Preparing
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice
-from tilth.schemas.proto.tilth_pb2 import CanFrame, Ready, Status
+from tilth.schemas.proto.tilth_pb2 import Ready, Status
 from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.traffic import simulate
 
@@ -253,16 +253,6 @@ def seconds_of(paths: list[Path]) -> tuple[float, float, float]:
     )
 
 
-def lag_s(paths: list[Path]) -> float:
-    """From when the first frame was sent until it was taken."""
-    for path in paths:
-        with path.open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-                if channel.topic.startswith("/can/"):
-                    return (message.log_time - CanFrame.FromString(message.data).rx_ns) * 1e-9
-    return math.nan
-
-
 @pytest.mark.cold
 @pytest.mark.parametrize("expected", [True, False], ids=["expected", "nowhere"])
 def test_the_first_start_on_a_new_computer_records_from_the_first_second(
@@ -273,11 +263,9 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
     output, result = demo(ours if expected else nowhere, tmp_path / "logs")
     logs = [Path(name) for name in output["log"]]  # one, unless this computer is very busy
     frame_s, ready_s, estimate_s = seconds_of(logs)
-    # The virtual tractor has kernels of its own, which are compiled before it drives. What was driven since
-    # is caught up with within 3 s, and estimates come each second.
-    assert lag_s(logs) < 1.0
-    assert frame_s + 5.0 < ready_s <= estimate_s < ready_s + 4.5
-    assert output["duration_s"] > ready_s - frame_s + 4.0  # its time counts from then
+    # What was driven meanwhile is caught up with within 3 s, and estimates come each second.
+    assert frame_s < 3.0 and 5.0 < ready_s <= estimate_s < ready_s + 4.5
+    assert output["duration_s"] > ready_s + 4.0  # its time counts from then
     assert (
         result.count("compiled: compiling kernels")
         == result.count("compiled: kernels were compiled for")
