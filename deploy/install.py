@@ -55,6 +55,7 @@ NEXT = "`tilth discover` drafts a machine file, `sudo tilth-setup machine FILE` 
 WHEELS = Path(__file__).resolve().with_name("wheels")  # what the Debian package brings
 PYTHON = Path(sys.base_prefix, "bin", f"python3.{sys.version_info.minor}")  # has pip; a release has none
 FOR_PHONES = ("tilth-page.service", "tilth-take.path", "tilth-take.service", "tilth-hotspot.service")
+HOTSPOT = "etc/NetworkManager/system-connections/tilth-hotspot.nmconnection"  # that `phone` has made
 LOGS = "var/lib/tilth/logs"
 LARGEST = 1 << 20  # bytes of a machine file that was saved on the page
 RECORDING = 75  # exit status: try again later
@@ -356,10 +357,11 @@ def uninstall(box: Box, args: argparse.Namespace) -> None:
         box.run("systemctl", "disable", "--now", unit, fail=False)
     for _, place in PLACES:
         box.at(place).unlink(missing_ok=True)
-    for place in (SETUP, COMMAND):
+    for place in (SETUP, COMMAND, HOTSPOT):
         box.at(place).unlink(missing_ok=True)
     for place in ("opt/tilth", KERNELS):
         shutil.rmtree(box.at(place), ignore_errors=True)
+    box.run("nmcli", "connection", "reload", fail=False)
     box.run("systemctl", "daemon-reload", fail=False)
     box.run("udevadm", "control", "--reload", fail=False)
     print(f"removed; kept: {', '.join(str(box.at(place)) for place in NOT_REMOVED)}")
@@ -500,9 +502,12 @@ def _check_machine(release: Path, machine: Path, **user: Any) -> None:
 
 
 def _switch(box: Box, release: Path) -> None:
-    """Let this release run; where it does not, the one before goes on. Raises Failed."""
+    """Let this release run; where it does not, the one before goes on. Raises Failed.
+
+    Until it has started it is on trial: after a power cut update.py looks after it.
+    """
     before, older = box.release("current"), box.release("previous")
-    _activate(box, release)
+    _activate(box, release, keeper=before)
     if before is not None and before != release:
         box.point("previous", before)
     if not _start(box):
@@ -512,6 +517,7 @@ def _switch(box: Box, release: Path) -> None:
         box.point("previous", older or before)
         _start(box)
         raise Failed(f"{release.name} does not start, {before.name} runs again; see journalctl -u {SERVICE}")
+    box.point("keeper", release)
     remove_unused(box)
     print(f"tilth {version_of(release)} (release {release.name}) is current")
 
@@ -524,10 +530,11 @@ def _activate(box: Box, release: Path, keeper: Path | None = None) -> None:
         if (system / "system" / name).exists():  # a release of before has less
             _put(system / "system" / name, box.at(place))
     _put(system / "install.py", box.at(SETUP), 0o755)
-    command = box.at(COMMAND)
+    command, target = box.at(COMMAND), Path("/opt/tilth/current/bin/tilth")
     command.parent.mkdir(parents=True, exist_ok=True)
-    command.unlink(missing_ok=True)
-    command.symlink_to("/opt/tilth/current/bin/tilth")
+    if not command.is_symlink() or command.readlink() != target:  # a power cut finds it there
+        command.unlink(missing_ok=True)
+        command.symlink_to(target)
     box.point("current", release)
 
 
@@ -545,6 +552,8 @@ def _start(box: Box) -> bool:
     box.run("systemctl", "enable", "--quiet", SERVICE, "tilth-update-boot.service")
     box.run("systemctl", "enable", "--quiet", "--now", TIMER)
     _compile(box, box.release("current"))
+    # systemd counts on where a release that ended again and again is stopped between two starts.
+    box.run("systemctl", "reset-failed", SERVICE, fail=False)
     return box.run("systemctl", "restart", SERVICE, fail=False)
 
 

@@ -12,7 +12,6 @@
 """
 
 import argparse
-import os
 import shutil
 import subprocess
 import sys
@@ -21,11 +20,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from tilth.deploy.install import HOTSPOT
+from tilth.logger.log import whole_file
 from tilth.monitor.entry_code import EntryCode, new_code
 
 LABEL: Final = "etc/tilth/label.toml"
-PROFILES: Final = "etc/NetworkManager/system-connections"
-HOTSPOT: Final = "tilth-hotspot"
+PROFILES: Final = Path(HOTSPOT).parent
 JOINED: Final = "tilth-network"
 PAGE: Final = "http://10.42.0.1:8117"  # the address that NetworkManager gives a network of its own
 
@@ -114,14 +114,9 @@ def write_profile(root: Path, words: Sequence[str]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """For root alone, whole or not at all."""
+    """For root alone."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    new_file = path.with_name(f".{path.name}.new")
-    new_file.unlink(missing_ok=True)
-    with os.fdopen(os.open(new_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
-        stream.write(text)
-        os.fsync(stream.fileno())
-    new_file.replace(path)
+    whole_file.write(path, text.encode(), mode=0o600)
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -136,10 +131,10 @@ def main(words: Sequence[str] | None = None) -> int:
         label = label_of(args.label or place)
         label["hotspot"] = label["hotspot"] or args.hotspot
         if label["hotspot"]:
-            own = profile_words(HOTSPOT, label["network"], label["passphrase"], own=True)
+            own = profile_words(Path(HOTSPOT).stem, label["network"], label["passphrase"], own=True)
             write_profile(args.root, own)
         else:
-            (args.root / PROFILES / f"{HOTSPOT}.nmconnection").unlink(missing_ok=True)
+            (args.root / HOTSPOT).unlink(missing_ok=True)
         if join := label.get("join"):
             write_profile(args.root, profile_words(JOINED, join["network"], join["passphrase"], own=False))
         _write(place, label_text(label))

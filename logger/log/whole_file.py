@@ -42,10 +42,12 @@ def whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
-def write(path: Path, data: bytes, *, replace: bool = True) -> None:
-    """All or nothing, whatever happens to disk and power. Raises OSError."""
-    with whole(path, replace=replace) as part, part.open("xb") as stream:
-        stream.write(data)
+def write(path: Path, data: bytes, *, replace: bool = True, mode: int = 0o666) -> None:
+    """All or nothing, whatever happens to disk and power. mode: less the process's umask. Raises OSError."""
+    with whole(path, replace=replace) as part:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        with os.fdopen(os.open(part, flags, mode), "wb") as stream:
+            stream.write(data)
 
 
 def read(path: Path) -> bytes:

@@ -13,7 +13,7 @@ from paths import ROOT
 from setup_box import PYTHON, Box, has_pip, without_tilth
 
 from tilth.deploy import can_up
-from tilth.deploy.install import KERNELS, Failed, _files_beside, adapter_rule
+from tilth.deploy.install import HOTSPOT, KERNELS, Failed, _files_beside, adapter_rule
 
 SYSTEM = ROOT / "deploy" / "system"
 UNITS = ("tilth.service", "tilth-can@.service", "tilth-page.service")
@@ -69,6 +69,9 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     assert (box.release("current"), box.release("previous")) == ("1", "2")
     assert "current   1: tilth 0" in box.setup("status").stdout
 
+    hotspot = box.root / HOTSPOT  # as `phone` makes it
+    hotspot.parent.mkdir(parents=True)
+    hotspot.touch()
     assert box.setup("uninstall").returncode == 0
     assert box.files() == {
         "etc/tilth/machine.toml", "etc/tilth/daemon.json", "var/lib/tilth/logs/a.mcap",

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tilth.deploy.phone import HOTSPOT, JOINED, LABEL, PROFILES, label_of, label_text, main
+from tilth.deploy.install import HOTSPOT
+from tilth.deploy.phone import JOINED, LABEL, PROFILES, label_of, label_text, main
 from tilth.monitor.entry_code import EntryCode
 
 with_nmcli = pytest.mark.skipif(
@@ -75,18 +76,18 @@ def test_networkmanager_takes_both_networks(tmp_path: Path) -> None:
     )
     assert main([str(path), "--hotspot", "--root", str(root)]) == 0
     found = {}
-    for name in (HOTSPOT, JOINED):
+    for name in (Path(HOTSPOT).stem, JOINED):
         profile = root / PROFILES / f"{name}.nmconnection"
         assert profile.stat().st_mode & 0o777 == 0o600
         found[name] = configparser.ConfigParser()
         found[name].read(profile)
-    own, joined = found[HOTSPOT], found[JOINED]
+    own, joined = found[Path(HOTSPOT).stem], found[JOINED]
     assert own["wifi"]["mode"] == "ap" and own["ipv4"]["method"] == "shared"
     assert own["connection"]["autoconnect"] == "false"  # the unit opens it, nothing else
     assert own["wifi-security"]["key-mgmt"] == "wpa-psk" and own["wifi-security"]["psk"] == "ABCD-2345-EFGH"
     assert joined["wifi"]["mode"] == "infrastructure" and joined["wifi"]["ssid"] == "Farm"
     assert main([str(path), "--root", str(root)]) == 0
-    assert not (root / PROFILES / f"{HOTSPOT}.nmconnection").exists()  # it is no longer allowed
+    assert not (root / HOTSPOT).exists()  # it is no longer allowed
 
 
 def test_without_networkmanager_it_says_what_to_install(

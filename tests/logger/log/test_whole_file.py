@@ -62,3 +62,11 @@ def test_reading_never_waits_and_takes_plain_files_only(tmp_path: Path) -> None:
     os.truncate(plain, whole_file.LARGEST + 1)
     with pytest.raises(OSError, match="too large"):
         whole_file.read(plain)
+
+
+def test_what_is_for_root_alone_replaces_what_others_could_read(tmp_path: Path) -> None:
+    path = tmp_path / "label.toml"
+    path.write_text("before")
+    path.chmod(0o644)
+    whole_file.write(path, b"secret", mode=0o600)
+    assert path.read_bytes() == b"secret" and path.stat().st_mode & 0o777 == 0o600
