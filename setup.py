@@ -19,8 +19,9 @@ class CleanBuild(build):
         shutil.rmtree(self.build_lib, ignore_errors=True)
         super().run()
         Path(self.build_lib, "tilth/estimator/kernels").mkdir(parents=True, exist_ok=True)
-        # What the checkout has compiled of these very sources is taken from its folder.
-        command = [sys.executable, "-m", "tilth.logger.compiling", "deploy/machines/jd7930-parker500.toml"]
+        # What the checkout has compiled of these very sources is taken from its folder, nothing else of it.
+        machine = "deploy/machines/jd7930-parker500.toml"
+        command = [sys.executable, "-m", "tilth.logger.compiling", machine, "only"]
         ours = {"PYTHONPATH": self.build_lib, "PYTHONDONTWRITEBYTECODE": "1"}
         subprocess.run(command, check=True, env=os.environ | ours)
 

@@ -3,23 +3,31 @@
     apt-get install qemu-user-static mmdebstrap arch-test
     uv run python -m tilth.deploy.emulated /tmp/armv8 -m tilth.cli replay --verify LOG.mcap
 
-The first call makes the folder /tmp/armv8, of Debian's packages and wheels, in a few minutes. It computes as
-such a computer does, twenty times slower. See README.md beside this file.
+The first call makes the folder /tmp/armv8, of Debian's packages and wheels. It computes as such a computer does,
+twenty times slower. See README.md beside this file.
 """
 
 import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 HERE = Path(__file__).resolve().parent
-EMULATOR: Final = "qemu-aarch64-static"
 DEBIAN: Final = "bookworm"
 PYTHON: Final = "3.11"  # its own
 WHEELS: Final = "aarch64-manylinux_2_28"  # that it can load, as uv names them
+REMEDY: Final = "apt-get install qemu-user-static mmdebstrap arch-test"
+EMULATOR: Final = Path("/usr/lib/binfmt.d/qemu-aarch64.conf")  # how Linux is told of it
+KNOWN: Final = f"""
+told=/proc/sys/fs/binfmt_misc
+test -e $told/qemu-aarch64 || {{ mount -t binfmt_misc none $told && cat {EMULATOR} >$told/register; }}
+exec "$@"
+"""
+"""A shell's words: run a program while Linux knows the emulator, so that what that program starts runs too."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -31,7 +39,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         make(args.root.resolve())
     except (OSError, subprocess.CalledProcessError) as error:
-        sys.stderr.write(f"{error}; apt-get install qemu-user-static mmdebstrap arch-test\n")
+        sys.stderr.write(f"{error}; {REMEDY}\n")
         return 1
     return run(args.root.resolve(), *args.words).returncode if args.words else 0
 
@@ -40,31 +48,47 @@ def make(root: Path) -> None:
     """Debian's Python of that processor, and the packages of constraints.txt, as far as they are not there.
     Raises CalledProcessError, OSError."""
     if not (root / "usr/bin/python3").exists():
-        packages = "--include=python3,ca-certificates,libstdc++6,libgomp1"
+        packages = "--include=python3,python3-distutils,ca-certificates,libstdc++6,libgomp1"
         debian: list[str | Path] = ["mmdebstrap", "--quiet", "--arch=arm64", "--variant=extract"]
         subprocess.run([*debian, packages, DEBIAN, root], check=True)
-    if not (root / "packages/numba").exists():
+    needed, there = HERE / "constraints.txt", root / "constraints.txt"
+    if not there.exists() or there.read_bytes() != needed.read_bytes():
         pip = ["uv", "pip", "install", "--quiet", "--python-platform", WHEELS, "--python-version", PYTHON]
-        needed: list[str | Path] = [
-            "--target",
-            root / "packages",
-            "-r",
-            HERE / "constraints.txt",
-            "setuptools",
-        ]
-        subprocess.run([*pip, *needed], check=True)
+        own = root / f"usr/local/lib/python{PYTHON}/dist-packages"
+        ready_made: list[str | Path] = ["--only-binary", ":all:", "--target", own, "-r", needed]
+        subprocess.run([*pip, *ready_made, "pip", "setuptools"], check=True)
+        there.write_bytes(needed.read_bytes())
 
 
-def run(root: Path, *words: str) -> subprocess.CompletedProcess[bytes]:
+def python(root: Path) -> list[str | Path]:
+    """Its first words: Python there, of this computer's files, and what it starts as well. Linux knows the
+    emulator in a namespace of its own (6.7 or later), unless Debian has told it already."""
+    namespace = ["unshare", "--map-root-user", "--mount", "sh", "-c", KNOWN, "sh"]
+    return [*namespace, root / f"usr/bin/python{PYTHON}"]
+
+
+def environment(root: Path) -> Mapping[str, str]:
+    """That of a process there."""
+    ours = {"QEMU_LD_PREFIX": str(root), "PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return os.environ | ours
+
+
+def run(root: Path, *words: str | Path) -> subprocess.CompletedProcess[bytes]:
     """Run Python there on this checkout, with the compiled kernels that the checkout has for it."""
-    ours = {
-        "QEMU_LD_PREFIX": str(root),  # of processes that it starts as well, where binfmt knows the emulator
-        "PYTHONPATH": f"{HERE.parent / '.typing'}:{root / 'packages'}",
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    python: list[str | Path] = [EMULATOR, root / f"usr/bin/python{PYTHON}"]
-    return subprocess.run([*python, *words], env=os.environ | ours, check=False)
+    of_checkout = {"PYTHONPATH": str(HERE.parent / ".typing")}
+    return subprocess.run([*python(root), *words], env={**environment(root), **of_checkout}, check=False)
+
+
+def wheel(root: Path, folder: Path, made_s: str) -> None:
+    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it. made_s: the time in it,
+    s since 1970. Raises CalledProcessError."""
+    build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps", "--wheel-dir", folder]
+    ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
+    subprocess.run([*python(root), *build, HERE.parent], env=ours, check=True)
+    (own,) = folder.glob("tilth-*.whl")
+    with zipfile.ZipFile(own) as content:
+        kernels = [name for name in content.namelist() if name.startswith("tilth/estimator/kernels/")]
+        content.extractall(HERE.parent / ".typing", kernels)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import argparse
 import contextlib
 import fcntl
 import os
+import platform
 import pwd
 import shutil
 import stat
@@ -449,7 +450,7 @@ def remove_unused(box: Box) -> None:
 def _wheel_of(source: Path, wheels: Path | None) -> tuple[Path, Path | None]:
     """What pip installs, and the folder with all else where there is no network."""
     if source.is_file() and source.suffix == ".whl":
-        return source, wheels
+        return _for_here(source), wheels
     if (source / "pyproject.toml").is_file():
         return source.resolve(), wheels
     found = sorted(source.glob("tilth-*.whl")) if source.is_dir() else []
@@ -457,7 +458,18 @@ def _wheel_of(source: Path, wheels: Path | None) -> tuple[Path, Path | None]:
         raise Failed(
             f"{source}: give a wheel of Tilth, a folder with exactly one and what it needs, or a checkout"
         )
-    return found[0], source
+    return _for_here(found[0]), source
+
+
+def _for_here(wheel: Path) -> Path:
+    """The wheel. Raises Failed where it is for another kind of processor."""
+    processor = wheel.stem.rpartition("-linux_")[2]
+    if processor not in (wheel.stem, platform.machine()):
+        raise Failed(
+            f"{wheel.name} is for {processor} and this computer is {platform.machine()}; "
+            f"take the release's wheel or package for {platform.machine()}"
+        )
+    return wheel
 
 
 def _constraints(wheel: Path, path: Path) -> Path:

@@ -1,5 +1,6 @@
 """Makes the Debian package: `uv run python -m tilth.deploy.package OUT`, on a computer like those it is for.
-For another kind of processor, of wheels that were made before (`--wheels`), on any.
+For ARMv8 on a PC as well: `--armv8 FOLDER` has an emulated computer build (emulated.py). `--wheels` takes
+wheels that were made before, of either.
 
 It carries wheels of all that Tilth needs, compiled kernels among them, and the installer of install.py, which
 the package's scripts call: no network is needed, and releases, roll-back and hardening stay one mechanism.
@@ -10,6 +11,7 @@ import argparse
 import email.utils
 import gzip
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,11 +19,14 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from tilth.deploy import emulated
+
 HERE = Path(__file__).resolve().parent
 CHECKOUT = HERE.parent
 SCRIPTS = ("postinst", "prerm", "postrm", "config")
 HOME = "usr/lib/tilth"
 ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64"}  # as wheels and as Debian name them
+ARMV8 = "for ARMv8, by an emulated computer that is there or is made there: half an hour at first"
 CHANGES = """tilth ({version}) unstable; urgency=medium
 
   * What has changed is told in changelog.gz.
@@ -35,27 +40,47 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tilth.deploy.package", description=__doc__)
     parser.add_argument("out", type=Path, help="folder for tilth_VERSION_ARCHITECTURE.deb")
     parser.add_argument("--wheels", type=Path, help="folder with tilth's wheel and all others, made before")
+    parser.add_argument("--armv8", type=Path, metavar="FOLDER", help=ARMV8)
     args = parser.parse_args(words)
     args.out.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory() as made:
-            wheels = args.wheels or gather(Path(made) / "wheels")
+            wheels = args.wheels or gather(Path(made) / "wheels", args.armv8)
             print(debian_package(wheels, Path(made) / "tree", args.out))
-    except subprocess.CalledProcessError as error:
-        print(f"{' '.join(map(str, error.cmd[:4]))} … failed", file=sys.stderr)
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(why(error), file=sys.stderr)
         return 1
     return 0
 
 
-def gather(folder: Path) -> Path:
-    """Tilth's wheel from this checkout, and wheels of what it needs in the versions of constraints.txt."""
-    environment = {**os.environ, "SOURCE_DATE_EPOCH": commit_s()}
-    build: list[str | Path] = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
-    subprocess.run(build, check=True, env=environment)
+def why(error: OSError | subprocess.CalledProcessError) -> str:
+    """Which step failed; it has said more itself."""
+    if isinstance(error, OSError):
+        needed = {"mmdebstrap": emulated.REMEDY, "dpkg-deb": "it takes Debian"}
+        return f"{error}; {needed.get(str(error.filename), 'see README.md of deploy')}"
+    step = [str(word) for word in error.cmd if "\n" not in str(word)]
+    return f"{' '.join(step[:4])} … failed"
+
+
+def gather(folder: Path, armv8: Path | None = None) -> Path:
+    """Tilth's wheel from this checkout, and wheels of what it needs in the versions of constraints.txt.
+
+    armv8: where an emulated computer is, or is to be made, which builds them. Raises CalledProcessError,
+    OSError.
+    """
+    here = {**os.environ, "SOURCE_DATE_EPOCH": commit_s()}
+    if armv8 is None:
+        build: list[str | Path] = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
+        subprocess.run(build, check=True, env=here)
+        pip: list[str | Path] = ["uv", "tool", "run", "--python", sys.executable, "pip"]
+    else:
+        emulated.make(armv8.resolve())
+        emulated.wheel(armv8.resolve(), folder, commit_s())
+        pip = [*emulated.python(armv8.resolve()), "-m", "pip"]
+        here |= emulated.environment(armv8.resolve())
     (own,) = folder.glob("tilth-*.whl")
-    pip: list[str | Path] = ["uv", "tool", "run", "--python", sys.executable, "pip", "wheel", "--quiet"]
     constraints: list[str | Path] = ["--constraint", HERE / "constraints.txt"]
-    subprocess.run([*pip, *constraints, "--wheel-dir", folder, own], check=True, env=environment)
+    subprocess.run([*pip, "wheel", "--quiet", *constraints, "--wheel-dir", folder, own], check=True, env=here)
     (folder / ".gitignore").unlink(missing_ok=True)
     return folder
 
@@ -78,7 +103,8 @@ def debian_package(wheels: Path, tree: Path, out: Path) -> Path:
     for name in SCRIPTS:
         _put(tree / "DEBIAN" / name, (HERE / "debian" / name).read_bytes(), 0o755)
     _put(tree / "DEBIAN/templates", (HERE / "debian/templates").read_bytes())
-    minor = sys.version_info.minor
+    compiled = re.findall(r"-cp3(\d+)-cp3\1-", " ".join(path.name for path in wheels.iterdir()))
+    minor = int(compiled[0]) if compiled else sys.version_info.minor  # of the Python that they are for
     control = (HERE / "debian/control").read_text(encoding="utf-8").format(
         version=version,
         architecture=architecture,

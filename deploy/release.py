@@ -1,9 +1,9 @@
 """Makes a release: `uv run python -m tilth.deploy.release OUT --key minisign.key`, on a computer like those
-it is for.
+it is for; with `--armv8 FOLDER` also for ARMv8, by an emulated computer (emulated.py).
 
-OUT then has all that a person puts where releases are had: Tilth's wheel, the Debian package, what it is
-made of (SBOM, CycloneDX), notes.md from the newest section of CHANGELOG.md, SHA256SUMS; and with --key
-signatures of package and sums. The same checkout, wheels and key give the same bytes.
+OUT then has all that a person puts where releases are had: Tilth's wheel and Debian package for each kind of
+processor, what they are made of (SBOM, CycloneDX), notes.md from the newest section of CHANGELOG.md,
+SHA256SUMS; and with --key signatures of packages and sums. The same checkout, wheels and key give the same bytes.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from tilth.deploy.package import CHECKOUT, commit_s, debian_package, gather
+from tilth.deploy.package import ARMV8, CHECKOUT, commit_s, debian_package, gather, why
 
 SUMS: Final = "SHA256SUMS"
 _SECTION: Final = re.compile(r"## (?P<version>\S+), (?P<date>.+)\n(?P<notes>(?:(?!## ).*\n?)*)")
@@ -40,16 +40,20 @@ def main(words: Sequence[str] | None = None) -> int:
         "--wheels", type=Path, action="append", metavar="FOLDER",
         help="tilth's wheel and all others, made before; once for each kind of processor",
     )  # fmt: skip
+    parser.add_argument("--armv8", type=Path, metavar="FOLDER", help=f"also {ARMV8}")
     args = parser.parse_args(words)
     try:
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made)
-            release(args.out, args.wheels or [gather(folder / "wheels")], folder, args.key)
+            wheels = args.wheels or [gather(folder / "wheels")]
+            if args.armv8 is not None:
+                wheels.append(gather(folder / "armv8", args.armv8))
+            release(args.out, wheels, folder, args.key)
     except NotReady as error:
         print(f"release: {error}", file=sys.stderr)
         return 1
-    except subprocess.CalledProcessError as error:
-        print(f"{' '.join(map(str, error.cmd[:4]))} … failed", file=sys.stderr)
+    except (OSError, subprocess.CalledProcessError) as error:
+        print(why(error), file=sys.stderr)
         return 1
     return 0
 

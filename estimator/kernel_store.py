@@ -9,6 +9,7 @@ for, so that what is found by its name is never stale, wherever it was built.
 
 import functools
 import platform
+from collections.abc import Collection
 from importlib import resources
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ BASELINES: Final = {
 }
 """Processor family -> what LLVM calls its baseline, and the features that make it up."""
 PACKAGED: Final = resources.files("tilth.estimator") / "kernels"
+_asked: Final[set[str]] = set()  # names of functions, with their digests, that this process looked for
 
 
 class InPackage(InTreeCacheLocator):
@@ -49,6 +51,7 @@ class Packaged(InPackage):
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
+        _asked.add(py_func.__qualname__)
         held = any(py_func.__qualname__ in name for name in _names())
         return cls(py_func, py_file) if held else None
 
@@ -66,9 +69,16 @@ def choose() -> str:
 
 def has_baseline() -> bool:
     """Whether this processor runs what is compiled for its family."""
-    _, needed = BASELINES.get(platform.machine(), ("", ("unknown",)))
+    return not lacking()
+
+
+def lacking() -> str:
+    """The instructions of its family's baseline that this processor lacks, or "a baseline" where it has none."""
+    if platform.machine() not in BASELINES:
+        return "a baseline"
+    _, needed = BASELINES[platform.machine()]
     there = get_host_cpu_features()
-    return all(there.get(feature, False) for feature in needed)
+    return ", ".join(feature for feature in needed if not there.get(feature, False))
 
 
 def target() -> str:
@@ -76,6 +86,14 @@ def target() -> str:
     settings: Any = config
     name: str = settings.CPU_NAME or get_host_cpu_name()
     return name
+
+
+def others(names: Collection[str]) -> list[str]:
+    """Of names of files, those that this process has no use for: kernels of the sources as they were once, of
+    other processors, of other Pythons."""
+    return [
+        name for name in names if f"-{target()}." not in name or not any(asked in name for asked in _asked)
+    ]
 
 
 @functools.cache

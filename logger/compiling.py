@@ -1,14 +1,16 @@
 """Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
 
-`python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it:
-the build of a wheel, the installer. With "-" it is the recorder's own process (logger/preparing.py): the
-machine comes in a line, what goes out are lines that say how far it is. Each has a second process beside it
-("fits"), on another core: what one has compiled the other finds on disk. That one begins with the slopes by
-parameters and with what only rows need, so that they don't both compile the rig's motion.
+`python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it: the
+installer, and the build of a wheel, whose word "only" has all other kernels removed from the package. With "-"
+it is the recorder's own process (logger/preparing.py): the machine comes in a line, what goes out are lines
+that say how far it is. Each has a second process beside it ("fits"), on another core: what one has compiled
+the other finds on disk. That one begins with the slopes by parameters and with what only rows need, so that
+they don't both compile the rig's motion.
 """
 
 import contextlib
 import os
+import platform
 import stat
 import subprocess
 import sys
@@ -32,6 +34,10 @@ NO_CACHE_FOLDER: Final = (
 UNTRUSTED: Final = (
     "can be written by others, so compiled kernels are not taken from there: every start compiles them anew; "
     "empty that folder, and let nobody but this user write it (chmod go-w)"
+)
+LACKING: Final = (
+    "this processor ({}) lacks {}: kernels of a package are not for it, so they are compiled for it once, at the "
+    "installation or the first start"
 )
 SECONDS: Final = {"over_ticks": 10.0, "motion_by_parameter": 1.5, "motion_by_state": 2.0, "motion": 0.8}
 """How long functions that take long take to compile, of a processor that does other work too. Slopes by
@@ -163,6 +169,16 @@ def cache_folder(machine: Machine) -> str:
         raise NoCacheFolder(NO_CACHE_FOLDER) from None
 
 
+def lacking() -> str:
+    """Why kernels of a package are not used on this processor; "" where they are."""
+    if not _compiles():
+        return ""
+    from tilth.estimator import kernel_store
+
+    lacks = kernel_store.lacking()
+    return lacks and LACKING.format(platform.machine(), lacks)
+
+
 def untrusted() -> str:
     """Why no code is taken from the folder of NUMBA_CACHE_DIR: others than root and this user can write
     there, or could, and numba runs what it finds. "" where nobody can, or no folder is named."""
@@ -214,17 +230,30 @@ def main(words: list[str]) -> int:
             prepare(machine, lambda done: _print(" ".join(map(str, done))))
         return 0
     try:
-        if len(words) != 1:
-            raise MachineError("usage: python -m tilth.logger.compiling MACHINE.toml")
+        if words[1:] not in ([], ["only"]) or not words:
+            raise MachineError("usage: python -m tilth.logger.compiling MACHINE.toml [only]")
         machine = read_machine(Path(words[0])).machine
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2
+    if why_anew := lacking():
+        _print(why_anew)
     with _fits_beside(machine):
         prepare(machine, lambda done: None if done.share else _print(TEXT))
     for fitting in in_order(machine) if _compiles() else ():
         rehearse(fitting, machine)
+    if words[1:]:
+        _remove_others()
     return 0
+
+
+def _remove_others() -> None:
+    """The package then holds what this process has used, and nothing else."""
+    from tilth.estimator import kernel_store
+
+    folder = Path(str(kernel_store.PACKAGED))
+    for name in kernel_store.others([path.name for path in folder.glob("*.nb[ic]")]):
+        (folder / name).unlink()
 
 
 @contextlib.contextmanager

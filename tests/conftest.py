@@ -19,6 +19,7 @@ from loopback import Sender
 from paths import ROOT
 from recorded import RUN_FOLDER, once
 
+from tilth.estimator.kernel_store import BASELINES
 from tilth.logger import compiling
 from tilth.logger.can.lean_can import import_can
 
@@ -84,6 +85,8 @@ def _built(folder: Path) -> Path:
     shutil.copytree(ROOT, root, ignore=shutil.ignore_patterns(*others))
     (root / "build/lib/tilth/cli").mkdir(parents=True)
     (root / "build/lib/tilth/cli/stale.py").touch()
+    for target in BASELINES.values():  # kernels that nobody calls, of this and of the other processor
+        (root / f"estimator/kernels/arrays.stale-0-{target[0]}.py311.nbi").touch()
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(root)]
     built = subprocess.run(build, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]

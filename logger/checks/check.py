@@ -220,6 +220,8 @@ def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     else:
         if folder:
             yield CheckFinding("kernels", Level.OK, f"compiled once, kept in {folder}")
+        if why_anew := compiling.lacking():
+            yield CheckFinding("kernels", Level.NOTE, why_anew)
 
 
 def _zenoh(machine: Machine) -> CheckFinding:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import subprocess
 import sys
 import zipfile
@@ -71,6 +72,12 @@ def test_an_installed_tilth_compiles_nothing(installed: Path, tmp_path: Path) ->
     ready, compiled, folder, target = started(installed, tmp_path)
     assert folder.startswith(str(installed)) and target in ("x86-64-v3", "generic")
     assert (ready, compiled) == (True, 0)
+
+
+def test_no_kernel_of_another_processor_or_of_other_sources_is_packaged(installed: Path) -> None:
+    names = [path.name for path in (installed / "tilth/estimator/kernels").iterdir()]
+    here, _ = kernel_store.BASELINES[platform.machine()]
+    assert len(names) > 50 and not [name for name in names if f"-{here}." not in name or "stale" in name]
 
 
 @pytest.mark.skipif(not kernel_store.has_baseline(), reason="this processor lacks the baseline")
