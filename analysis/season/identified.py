@@ -22,6 +22,7 @@ from tilth.estimator.methods import place
 from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.estimator.record.record import TICK_NS, WHEEL_ANGLE, Record, U
+from tilth.estimator.results import advice
 from tilth.replay.offline import ReplayOutputs, ReplaySummary, replay
 from tilth.replay.readers.log import LogError
 from tilth.replay.readers.remote import at_hand
@@ -116,7 +117,8 @@ def _replayed(task: RunTask, paths: Sequence[Path], began_s: float) -> Identifie
     machine_file = MachineFile(parse_machine(task.machine_text, task.dbc), task.machine_text)
     heard = _HeardFits()
     said: list[str] = []
-    summary = replay(paths, machine_file, outputs=ReplayOutputs(fit=heard.take), say=said.append)
+    with advice.unread():
+        summary = replay(paths, machine_file, outputs=ReplayOutputs(fit=heard.take), say=said.append)
     told = [event for event in summary.events if event.kind in TOLD_EVENTS]
     counted: dict[str, int] = {}
     for event in told:
