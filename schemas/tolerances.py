@@ -8,9 +8,7 @@ all, is equal everywhere.
 from typing import Final
 
 PURE: Final = 1e-12  # decoded: sums, products, one function of the library
-MADE: Final = 1e-8
-"""Of poses. A position is a distance from the equator first, rounded at 1e-9 m; a velocity is of two of them,
-0.2 s apart."""
+MADE: Final = 1e-9  # of poses, which a filter smooths
 LEARNED: Final = 1e-5  # of estimates
 OF_SD: Final = 1e-4  # of a value with its sd beside it, in sds: within this share a fit's search ends
 

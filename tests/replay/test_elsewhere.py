@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,10 @@ def longer(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     indirect=True,
 )
 @pytest.mark.parametrize("disguise", DISGUISES)
-def test_a_drive_with_fits_is_the_same_everywhere(longer: Live, disguise: str) -> None:
+def test_a_drive_with_fits_is_the_same_everywhere(
+    longer: Live, disguise: str, record_property: Callable[[str, object], None]
+) -> None:
+    """`--junitxml FILE` has what each differs by."""
     status, found = verified(longer.parts[0], disguise)
+    record_property("verify", found)
     assert (status, found["difference"], found["compared"]) == (0, None, longer.results)
