@@ -161,6 +161,11 @@ class Code(StrEnum):
     METHOD_FINDS = "method_finds"
     """These two of: a number of the rig, and then other keys that may be it, or the method. numbers: how far
     it is from the file, sd."""
+    RECEIVER_OFF = "receiver_off"
+    """numbers: how far forward and right of where the file has it, sds."""
+    DRAWBAR_OFF = "drawbar_off"
+    """numbers: by how much the file has it too long, sd. These two of: a row of what may be moved, and then
+    other keys that may be it."""
     MOST_REJECTED = "most_rejected"
     """numbers: share of what the receivers say."""
     NO_TYRE = "no_tyre"

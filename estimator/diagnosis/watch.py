@@ -5,6 +5,9 @@ constants is compared with what all driving before that told, for each suspect a
 a window-limited generalized likelihood ratio test. A suspect whose ratio is above `threshold`, by an amount
 that matters, has been moved. From then on it is compared with how it is now, so that being put back is found
 too.
+
+What is wrong from the start is no change. Each five seconds all samples are held against the machine file in
+the same way (against_file.py).
 """
 
 import math
@@ -14,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.estimator.diagnosis import wheel_speed
+from tilth.estimator.diagnosis import against_file, wheel_speed
 from tilth.estimator.diagnosis.hypotheses import Explanation, hypotheses, judge, posterior
 from tilth.estimator.diagnosis.information import (
     KINDS,
@@ -52,6 +55,7 @@ class WatchTuning:
     false_alarm: float = tuned(1000.0, "h", "of driving with one false alarm of each suspect")
     rival: float = tuned(0.01, "1", "of the best likelihood: what explains so much may be it as well")
     nearly: float = tuned(0.6, "1", "of the log likelihood ratio of a latency: so much, it may be a receiver")
+    look: int = tuned(25, "samples", "5 s between two looks at the machine file itself")
     scatter_memory: float = tuned(0.1, "1", "share of a new block in the scatter of the rows")
 
 
@@ -109,6 +113,7 @@ class WatchState:
     )  # variance of a pose's rows over the expected
     sums: Array = field(default_factory=lambda: np.zeros((KINDS, 3)))  # of the block: n, sum, sum of squares
     moved: list[Moved] = field(default_factory=list)
+    wrong: list[Diagnosis] = field(default_factory=list)  # lengths of the machine file, from the start
     wheel_speed: WheelSpeedState = field(default_factory=WheelSpeedState)  # of the tyres' radius
 
 
@@ -121,6 +126,8 @@ def observe(state: WatchState, aligner: Aligner, pose: Pose) -> list[Diagnosis]:
     if now is None:
         return []
     _add(state, aligner.machine, rows(lengths(aligner.machine), now), pose.t_ns)
+    if state.samples % WATCH.look == 0:
+        state.wrong = _wrong(state, aligner.machine)
     if state.samples < WATCH.block:
         return []
     _end_block(state, aligner.machine)
@@ -142,6 +149,13 @@ def _add(
     block.information += weighted @ design
     block.vector += weighted @ measured
     state.samples += 1
+
+
+def _wrong(state: WatchState, machine: Machine) -> list[Diagnosis]:
+    """What is not as in the machine file. What has been moved is said of its own."""
+    if state.moved:
+        return []
+    return against_file.found(machine, _sum([state.old, *state.blocks, state.block]), bool(state.wrong))
 
 
 def _end_block(state: WatchState, machine: Machine) -> None:
@@ -308,9 +322,9 @@ def left_out(state: WatchState) -> frozenset[str]:
 
 
 def contradictions(state: WatchState) -> list[Diagnosis]:
-    """What has been moved and cannot be done without."""
+    """What has been moved and cannot be done without, or was wrong in the file from the start."""
     out = left_out(state)
-    return [moved.diagnosis for moved in state.moved if moved.names[0] not in out]
+    return [*(moved.diagnosis for moved in state.moved if moved.names[0] not in out), *state.wrong]
 
 
 def proposal(state: WatchState, machine: Machine, what: str, t_ns: int) -> Accepted | None:
@@ -340,6 +354,7 @@ def accept(state: WatchState, machine: Machine, accepted: Accepted) -> None:
         evidence.vector = evidence.vector - evidence.information @ shift
     state.mean = state.mean - shift
     state.moved = [moved for moved in state.moved if accepted.what not in moved.names]
+    state.wrong = []
 
 
 def directions_of(machine: Machine, name: str) -> Any:

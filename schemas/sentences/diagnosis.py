@@ -50,6 +50,11 @@ def _by_driving(of: Sequence[str], n: Sequence[float]) -> str:
     return f"driving finds {_how_far(of[0], of[1], n)}: {of[0]}{others}?"
 
 
+def _off(words: Words) -> Words:
+    """With the key, and others that may be it."""
+    return lambda of, n: f"driving finds {words(of, n)}: {', or '.join([of[0], *of[2:]])}?"
+
+
 def _how_far(key: str, number: str, n: Sequence[float]) -> str:
     if number in FOUND:
         words, unit = FOUND[number]
@@ -120,6 +125,18 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
     ),
     Code.DRIVING_FINDS: _by_driving,
     Code.METHOD_FINDS: lambda of, n: f"{of[2]} finds {_how_far(of[0], of[1], n)}: {of[0]}?",
+    Code.RECEIVER_OFF: _off(
+        lambda of, n: (
+            f"{of[1]} {measured(n, 0, 'm')} forward and {measured(n, 1, 'm')} to the right of its "
+            "place in the file"
+        )
+    ),
+    Code.DRAWBAR_OFF: _off(
+        lambda of, n: (
+            f"the implement's receivers {plus_minus(-n[0], n[1], 'm')} further behind the hitch than the "
+            "file has them"
+        )
+    ),
     Code.MOST_REJECTED: lambda of, n: (
         f"{100 * n[0]:.0f} % of what the receivers say fits no rig like this: receiver, tractor or implement?"
     ),

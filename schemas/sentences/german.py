@@ -165,6 +165,10 @@ def _wheel_scale(of: Sequence[str], n: Sequence[float]) -> str:
     return f"{text} (Grad je Bit, nicht Radiant)" if DEGREES[0] < larger < DEGREES[1] else text
 
 
+def _off(words: Words) -> Words:
+    return lambda of, n: f"die Fahrt findet {words(of, n)}: {', oder '.join([of[0], *of[2:]])}?"
+
+
 def _or_else(words: Words) -> Words:
     return lambda of, n: ", oder es ist ".join([words(of, n), *of[2:]])
 
@@ -235,6 +239,17 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
     ),
     Code.METHOD_FINDS: lambda of, n: (
         f"{METHODS.get(of[2], of[2])} findet {_how_far(of[0], of[1], n)}: {of[0]}?"
+    ),
+    Code.RECEIVER_OFF: _off(
+        lambda of, n: (
+            f"{of[1]} {measured(n, 0, 'm')} vor und {measured(n, 1, 'm')} rechts von seinem Ort in der Datei"
+        )
+    ),
+    Code.DRAWBAR_OFF: _off(
+        lambda of, n: (
+            f"die Empfänger des Geräts {plus_minus(-n[0], n[1], 'm')} weiter hinter der Kupplung als in "
+            "der Datei"
+        )
     ),
     Code.MOST_REJECTED: lambda of, n: (
         f"{100 * n[0]:.0f} % dessen, was die Empfänger melden, passt zu keinem solchen Gespann: Empfänger, Traktor "

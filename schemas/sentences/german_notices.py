@@ -171,7 +171,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.NOT_HEARD: "nicht gehört: {mounts}",
     NoticeCode.NO_WHEEL_ANGLE: "nicht gehört: der Lenkwinkel",
     NoticeCode.WITHOUT_RTK: "ohne RTK-Fix: {mounts}",
-    NoticeCode.CONTRADICTED: "{ended} Bis das vorbei ist, gibt es keinen Wert",
+    NoticeCode.CONTRADICTED: "{ended}{hitched} Bis das vorbei ist, gibt es keinen Wert",
     NoticeCode.FITS_AGAIN: "{key}: vorbei; die Daten passen wieder zur Maschinendatei",
     NoticeCode.MOVED: "{reason}; vor {ago_min:.0f} min. " + _ACCEPT,
     NoticeCode.MOVED_EARLIER: "eine frühere Fahrt fand: {reason}. " + _ACCEPT,

@@ -7,15 +7,16 @@ from typing import Final
 
 from tilth.schemas.flow import Event, FlagKind
 from tilth.schemas.notices import Notice, NoticeCode
+from tilth.schemas.reasons import Reason
 from tilth.schemas.sentences import german_notices
 from tilth.schemas.sentences.german import GERMAN
 from tilth.schemas.sentences.reasons import ENGLISH, sentence
 
 Words = str | Callable[..., str]
 """A template of a notice's values and of MADE; or what makes words of the values."""
-MADE: Final = frozenset({"parts", "listed", "reason", "ended", "which"})
-"""Fields of a template that are no values: `ended` is the reason with its full stop, `which` what a
-diagnosis is of."""
+MADE: Final = frozenset({"parts", "listed", "reason", "ended", "hitched", "which"})
+"""Fields of a template that are no values: `ended` is the reason with its full stop, `hitched`
+that another implement may be hitched on, `which` what a diagnosis is of."""
 
 DAY_S: Final = 86_400.0
 
@@ -183,7 +184,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.NOT_HEARD: "not heard: {mounts}",
     NoticeCode.NO_WHEEL_ANGLE: "not heard: the wheel angle",
     NoticeCode.WITHOUT_RTK: "without RTK fix: {mounts}",
-    NoticeCode.CONTRADICTED: "{ended} Until this is over no number is given",
+    NoticeCode.CONTRADICTED: "{ended}{hitched} Until this is over no number is given",
     NoticeCode.FITS_AGAIN: "{key}: over; the data fit the machine file again",
     NoticeCode.MOVED: "{reason}; {ago_min:.0f} min ago. " + _ACCEPT,
     NoticeCode.MOVED_EARLIER: "an earlier run found: {reason}. " + _ACCEPT,
@@ -363,6 +364,11 @@ LANGUAGES: Final[Mapping[str, Mapping[NoticeCode, Words]]] = {
     GERMAN: german_notices.NOTICES,
 }
 OR: Final[Mapping[str, str]] = {ENGLISH: " or ", GERMAN: " oder "}
+HITCHED: Final[Mapping[str, str]] = {
+    ENGLISH: " If another implement is hitched on than the file describes, choose it (`tilth implement`).",
+    GERMAN: " Hängt ein anderes Gerät dran, als die Datei beschreibt: dieses wählen (`tilth implement`).",
+}
+"""Where what contradicts the file is the implement's, or may be."""
 
 
 def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
@@ -380,8 +386,13 @@ def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
         listed=f" ({parts}, 95 %)" if parts else "",
         reason=reason,
         ended=reason if reason.endswith((".", "?", "!")) else f"{reason}.",
+        hitched=HITCHED[language] if _of_implement(notice.reason) else "",
         which=OR[language].join(notice.reason.of[1:]) if notice.reason is not None else "",
     )
+
+
+def _of_implement(reason: Reason | None) -> bool:
+    return reason is not None and any("implement" in key for key in reason.of)
 
 
 def values_of(code: NoticeCode) -> list[str]:
