@@ -28,8 +28,8 @@ if TYPE_CHECKING:  # with the estimators: what is wrong, and what is done, is sa
 _say = partial(say, "demo")
 
 WHAT: Final = (
-    "a simulated tractor pulls an implement over a field; what its sensors say is recorded as on a real one",
-    "out of it is learned how firmly soil holds the tyres; first numbers come after some 15 s of driving",
+    "a simulated tractor pulls an implement over a field; its sensors are recorded as on a real one",
+    "from this drive Tilth learns how firmly the soil holds the tyres; first numbers after about 15 s",
 )
 
 STAYING_S: Final = 0.2  # between two looks whether the page is to stay
@@ -38,24 +38,26 @@ STAYING_S: Final = 0.2  # between two looks whether the page is to stay
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "demo",
-        help="drive a simulated tractor through the whole chain",
-        description="A simulated tractor on a CAN bus over loopback; the real daemon logs it, estimates and "
-        "publishes; at the end stands truth beside estimate. Needs no hardware and no privilege.",
+        help="run everything on a simulated tractor",
+        description="A simulated tractor sends on a CAN bus over loopback. The real daemon logs it, "
+        "estimates and publishes. At the end each estimate is shown next to the truth. Needs no hardware and "
+        "no privileges.",
     )
     parser.add_argument(
-        "--seconds", type=duration, default=None, metavar="N", help="of driving, in real time (90)"
+        "--seconds", type=duration, default=None, metavar="N", help="seconds to drive, in real time (90)"
     )
     parser.add_argument(
         "--guidance",
         action="store_true",
-        help="instead: a controller keeps the implement on its line by the live estimates, over soil that "
-        "gets softer half-way; fixed gains beside it (4 minutes of driving, and half a minute before it)",
+        help="instead: a controller uses the live estimates to keep the implement on its line, over soil "
+        "that gets softer half-way, compared with fixed gains (4 minutes of driving, half a minute of "
+        "preparation)",
     )
     parser.add_argument(
         "--fast",
         action="store_true",
-        help="with --guidance: both drives faster than real time in one process, for a small computer; "
-        "without CAN, Zenoh, log and page",
+        help="with --guidance: both drives in one process, faster than real time, without CAN, Zenoh, log "
+        "and page, for a small computer",
     )
     parser.add_argument(
         "--from-change",
@@ -65,16 +67,16 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--spatial",
         action="store_true",
-        help="the tractor in space: it rolls on its tyres over uneven ground, by physics that the estimators "
-        "do not share (needs the extra of that name)",
+        help="a three-dimensional tractor that rolls on its tyres over uneven ground; its physics are not "
+        "those of the estimators (needs the extra 'spatial')",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="another rig and another drive (1)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="which rig and drive (1)")
     parser.add_argument(
         "--log", type=Path, default=Path("logs"), metavar="DIR", help="folder of the log (logs)"
     )
-    parser.add_argument("--no-page", action="store_true", help="do not serve the live page meanwhile")
+    parser.add_argument("--no-page", action="store_true", help="do not serve the live page")
     add_host(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout, the rest on stderr")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -177,7 +179,7 @@ def _fast(args: argparse.Namespace) -> int:
     try:
         guided = run_lockstep(args.seed, args.log, _say, FROM_CHANGE if args.from_change else WORK)
     except KeyboardInterrupt:
-        _say("stopped before both were driven; there is nothing to show")
+        _say("stopped before both drives were over; there is nothing to show")
         return 1
     except DemoError as error:
         _say(str(error))
@@ -206,7 +208,7 @@ def _guidance(args: argparse.Namespace, display: "Display", stop: Stop, watch: W
             console.print(f"{count} commands refused: {reason}", highlight=False)
         if guided.commands["late"]:
             console.print(
-                "This computer was too busy for real time: commands came late, and the errors tell."
+                "This computer was too busy for real time: commands came late, which made the errors larger."
             )
         if guided.figure is not None:
             console.print(f"Figure: {guided.figure}", soft_wrap=True, highlight=False)
@@ -232,17 +234,17 @@ class _Page:
         try:
             self._address = (self._job.next() or b"").decode().strip()
         except JobEnded:
-            _say("there is no page; the drive goes on")
+            _say("the page could not be started; the drive goes on")
             return
         _say(f"watch it at {self._address}")
-        _say("there: the field from above, the five sensors, and what is learned of soil and tyres")
+        _say("it shows the field from above, the five sensors, and what is learned about soil and tyres")
 
     def stay(self, over: dict[str, object], stop: Stop) -> None:
         """It says what the demo gave, and stays until then."""
         if self._job is None or not self._job.alive:
             return
         self._job.send(json.dumps(over).encode())
-        _say(f"over; the page stays at {self._address} until Ctrl-C")
+        _say(f"done; the page stays at {self._address} until Ctrl-C")
         with contextlib.suppress(JobEnded):
             while not stop():
                 if line := self._job.next(STAYING_S):
@@ -258,9 +260,9 @@ def _next(log_files: Sequence[Path]) -> dict[str, object]:
     files = [str(path) for path in log_files]
     steps = [
         ("the report of this drive", command("report", *files, "--out", "demo.html")),
-        ("play it again", command("monitor", *files)),
-        ("compute it again, to the byte", command("replay", *files, "--verify")),
-        ("draft a machine file of your own rig", command("discover", "--bus", "socketcan:can0")),
+        ("play this drive again", command("monitor", *files)),
+        ("compute it again and compare each byte", command("replay", *files, "--verify")),
+        ("draft a machine file for your own rig", command("discover", "--bus", "socketcan:can0")),
     ]
     return {"files": files, "next": steps if files else steps[-1:]}
 

@@ -61,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
 
 def chosen(folder: Path, names: list[str] | None) -> list[StoredRun]:
     """The runs of those names, or all. Raises WrongUse."""
+    if folder.is_file():
+        raise WrongUse(f"{folder}: a file; name the folder that the logs are in")
     if not folder.is_dir():
         raise WrongUse(f"{folder}: no such folder; name the one that the logs are in")
     if not os.access(folder, os.R_OK | os.X_OK):  # looks empty to who may not look into it

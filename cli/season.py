@@ -24,20 +24,20 @@ _say = partial(say, "season")
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "season",
-        help="identify many days of logs, and put them together",
-        description="Look through folders and sticks of logs, identify each run, put the runs of each "
-        "tractor with its implement together in the order of their driving, and write a table of all "
-        "stretches (DIR/stretches.parquet) and a summary (DIR/season.html). What is done is not done again; "
-        "the logs are only read.",
+        help="identify many days of logs and combine them",
+        description="Find the runs in folders and on sticks, identify each one, combine the runs of each "
+        "tractor and implement in the order in which they were driven, and write a table of all stretches "
+        "(DIR/stretches.parquet) and a summary (DIR/season.html). Finished runs are not computed again. "
+        "The logs are only read.",
     )
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="logs, and folders of logs; also as s3://BUCKET/FOLDER"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the season's folder")
-    parser.add_argument("--retry", action="store_true", help="runs that have failed once more")
+    parser.add_argument("--retry", action="store_true", help="try failed runs again")
     add_machine(parser, "of logs that hold none")
     add_parts(parser)
-    parser.add_argument("--json", action="store_true", help="what came of it as one JSON object to stdout")
+    parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         raise WrongUse(f"--out {args.out}: is a file; give a folder, new or of the same season")
     for path in args.logs:
         if not is_remote(path) and not Path(path).exists():
-            raise WrongUse(f"{path}: is not there; give logs, or folders of logs")
+            raise WrongUse(f"{path}: no such file or folder; give logs, or folders of logs")
     with log_errors(args.out, "what was finished is kept; give the same command again"):
         try:
             with ExitStack() as stack:
@@ -81,14 +81,11 @@ def _tell(made: Season, as_json: bool) -> int:
     if made.rows is None:
         _say(f"nothing to do: {what} in {made.table}")
     else:
-        _say(f"{what} in {made.table}, {made.computed} runs identified now; {made.out / SUMMARY} tells")
-    if not done["runs"]:
-        for path, why in made.inventory.left_out:
-            _say(f"{path}: {why}")
-    elif made.inventory.left_out:
-        _say(f"files that are not used: {len(made.inventory.left_out)}; {SUMMARY} says why")
+        _say(f"{what} in {made.table}, {made.computed} runs identified now; open {made.out / SUMMARY}")
+    if made.inventory.left_out:
+        _say(f"files not used: {len(made.inventory.left_out)}; {SUMMARY} says why")
     if done["failed"]:
         _say(f"runs that failed: {done['failed']}; {SUMMARY} says why, --retry tries them again")
     if made.not_kept:
-        _say(f"{made.not_kept}: what came of some runs could not be kept; make room")
+        _say(f"{made.not_kept}: the results of some runs could not be stored; free some space and repeat")
     return int(bool(done["failed"] or made.not_kept))

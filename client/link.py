@@ -41,7 +41,7 @@ def open_session(endpoint: str = ENDPOINT, config: Path | None = None) -> zenoh.
     A daemon that is not there yet is no error. Raises ValueError in a person's words.
     """
     if config is None and not _ENDPOINT.match(endpoint):
-        raise ValueError(f"{endpoint}: is none; an endpoint looks like {ENDPOINT}")
+        raise ValueError(f"{endpoint}: not an endpoint; one looks like {ENDPOINT}")
     try:
         if config is not None:
             return zenoh.open(zenoh.Config.from_file(str(config)))

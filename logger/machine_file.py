@@ -151,10 +151,13 @@ def _text(path: Path, what: str, otherwise: str = "") -> str:
     """A file's text, without the mark that some editors put before it. otherwise: what it is if not UTF-8."""
     try:
         raw = path.read_bytes()
+    except IsADirectoryError:
+        raise MachineError(f"{path}: a folder; give the path of the {what}") from None
     except OSError as error:
-        raise MachineError(
-            f"{path}: the {what} cannot be read ({reason_of(error)}); give the path of one that exists"
-        ) from None
+        text = f"{path}: the {what} cannot be read ({reason_of(error)}); check the path"
+        raise MachineError(text) from None
+    if not raw.strip():
+        raise MachineError(f"{path}: the {what} is empty")
     if raw.startswith(_LOG_STARTS):
         raise MachineError(f"{path}: a log, not a {what}; to read it: {command('replay', str(path))}")
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

@@ -125,7 +125,7 @@ def soil_line(status: pb.Status, estimate: Estimate | None) -> str:
         return f"… {preparing_text(status)}"
     minutes, seconds = divmod(int(status.uptime_s), 60)
     stiffnesses = _stiffnesses(estimate)
-    soil = "driving; nothing is known of the tyres yet"
+    soil = "driving; nothing known about the tyres yet"
     if any(one.value is not None for _, one in stiffnesses):
         known = ", ".join(f"{name} {stiffness_text(one, bare=True)}" for name, one in stiffnesses)
         soil = f"tyres, kN/rad (95 %): {known}"

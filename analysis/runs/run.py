@@ -190,7 +190,8 @@ def open_runs(
             file = _file_of(path, rig, buses or {}, progress, say, cache)
         except EmptyLog as error:
             empty = error
-            say(str(error))
+            if len(given) > 1:
+                say(str(error))
             continue
         groups.setdefault(_run_key(path, file, groups), []).append((path, file))
     if not groups:

@@ -95,9 +95,9 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
 
 def _read(out: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     arrow, path = require_parquet(), out / TABLE
-    again = f"make it with `{command('season', 'LOG…', '--out', str(out))}`"
+    again = f"make it with `{command('season', 'LOGS', '--out', str(out))}`"
     if not path.exists():
-        raise MapProblem(f"{out}: no season is there; {again}")
+        raise MapProblem(f"{out}: no season in this folder; {again}")
     parquet = import_module("pyarrow.parquet")
     try:
         metadata = parquet.read_schema(path).metadata or {}

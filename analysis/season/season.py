@@ -69,6 +69,9 @@ def season(
     with _alone(out):
         (out / RUNS).mkdir(exist_ok=True)
         inventory = take_inventory(paths, out, machine, progress)
+        if not inventory.runs:  # a season that is there stays as it is
+            why = "".join(f"; {path}: {reason}" for path, reason in inventory.left_out)
+            raise SeasonProblem(f"{', '.join(paths)}: no run was found; give logs, or folders of logs{why}")
         tasks = {run: _task(run, inventory) for run in inventory.runs}
         key = key_of("season", FORM, TABLE_FORM, *(task.key for task in tasks.values()), inventory.left_out)
         done = _done(out)

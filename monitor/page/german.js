@@ -52,9 +52,9 @@ export const GERMAN = {
   "Truth": "Wahrheit", "Estimate": "Schätzung", "95 % interval": "95-%-Intervall", "Holds the truth": "Trifft es",
   "What to do next, in the terminal:": "Wie es weitergeht, im Terminal:", "not estimated": "nicht geschätzt",
   "✔ yes": "✔ ja", "✘ no": "✘ nein", "{} to {}": "{} bis {}",
-  "the report of this drive": "der Bericht dieser Fahrt", "play it again": "noch einmal abspielen",
-  "compute it again, to the byte": "noch einmal rechnen, aufs Byte genau",
-  "draft a machine file of your own rig": "eine Maschinendatei des eigenen Gespanns entwerfen",
+  "the report of this drive": "der Bericht dieser Fahrt", "play this drive again": "noch einmal abspielen",
+  "compute it again and compare each byte": "noch einmal rechnen, aufs Byte genau",
+  "draft a machine file for your own rig": "eine Maschinendatei des eigenen Gespanns entwerfen",
 
   "Tractor front": "Traktor vorn", "Tractor rear": "Traktor hinten", "Implement front": "Gerät vorn",
   "Implement rear": "Gerät hinten", "Wheel angle": "Lenkwinkel", "tractor front": "Traktor vorn",

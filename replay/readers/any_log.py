@@ -206,6 +206,6 @@ def _text_kind(log: OpenLog) -> Kind:
             remaining -= len(line)
             has_text = True
     if has_text:
-        raise ForeignLog(f"{log.path}: not a log of CAN frames that is known here; {readable()}")
+        raise ForeignLog(f"{log.path}: not a log of CAN frames that Tilth can read; {readable()}")
     what = "nothing but comments" if comments else "nothing but zero bytes, as a power cut leaves them"
     raise EmptyLog(f"{log.path}: {what}; no frame is in it")

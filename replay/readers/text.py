@@ -38,7 +38,7 @@ class Form(NamedTuple):
 FORMS: Final = (
     Form("candump -l", candump.LOG, candump.log_line, of_eight=True),
     Form("candump", candump.TERMINAL, candump.terminal_line, tells_length=True),
-    Form("candump of before 2008", candump.FORMER, candump.former_line, tells_length=True),
+    Form("candump before 2008", candump.FORMER, candump.former_line, tells_length=True),
     Form("canboat's plain text", gateway.PLAIN, gateway.plain_line, tells_length=True),
     Form("a gateway's raw text", gateway.RAW, gateway.raw_line, of_eight=True),
     Form("Actisense's N2K ASCII", gateway.N2K_ASCII, gateway.n2k_ascii_line),

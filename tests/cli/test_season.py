@@ -24,6 +24,10 @@ def test_a_season_is_told_and_nothing_is_done_twice(
     assert (tmp_path / "out" / TABLE).exists() and (tmp_path / "out" / SUMMARY).exists()
     assert main(words) == 0
     assert "nothing to do" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    page = (tmp_path / "out" / SUMMARY).read_bytes()
+    assert main(["season", str(tmp_path / "empty"), *words[2:]]) == 2  # a slip costs no season
+    assert (tmp_path / "out" / SUMMARY).read_bytes() == page
 
 
 def test_a_run_that_fails_is_told_by_the_exit_status(
@@ -40,9 +44,11 @@ def test_a_run_that_fails_is_told_by_the_exit_status(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["none.mcap", "--out", "out"], "is not there"),
+        (["none.mcap", "--out", "out"], "no such file or folder"),
         (["here.mcap", "--out", "out", "--dask-tls", "a", "b", "c"], "needs --dask"),
         (["here.mcap", "--out", "here.mcap"], "is a file"),
+        (["folder", "--out", "out"], "folder: no run was found"),
+        (["letter.txt", "--out", "out"], "letter.txt: not a log of CAN frames"),
     ],
 )
 def test_wrong_use_is_one_sentence(
@@ -51,5 +57,7 @@ def test_wrong_use_is_one_sentence(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     write_mcap(tmp_path / "here.mcap", some_frames(9))
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "letter.txt").write_text("Dear all,\n")
     assert main(["season", *words]) == 2
     assert said in capsys.readouterr().err

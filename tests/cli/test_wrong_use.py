@@ -20,7 +20,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["frob"], "there is no command frob. "),
     (["run", "MACHINE", "--seconds", "x"], "--seconds: x: give a number above zero"),
     (["run", "MACHINE", "--seconds", "nan"], "--seconds: nan: give a number above zero"),
-    (["run", "FOLDER"], "is a directory); give the path of one that exists"),
+    (["run", "FOLDER"], "a folder; give the path of the machine file"),
     (["run", "FOREIGN"], "not a TOML file"),
     (["run", "OTHER"], "title: no such key. Allowed here: machine, implements, tractor"),
     (["demo", "--host", "nonsense"], "demo: --host nonsense: name or service not known; give an address of"),
@@ -36,7 +36,7 @@ ROWS: list[tuple[list[str], str]] = [
     (["mark", "x", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `"),
     (["accept", "--endpoint", NOWHERE], f"reached at {NOWHERE}; is `"),
     (["mark", "x", "--endpoint", "rubbish"], "tilth run` running? An endpoint looks like"),
-    (["monitor", "--port", "0", "--connect", "rubbish"], "rubbish: is none; an endpoint looks like tcp/"),
+    (["monitor", "--port", "0", "--connect", "rubbish"], "rubbish: not an endpoint; one looks like tcp/"),
     (["monitor", "--port", "0", "--config", "FOREIGN"], "give a Zenoh configuration, or a key of"),
 ]  # fmt: skip
 

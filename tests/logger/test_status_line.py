@@ -110,4 +110,4 @@ def test_one_line_is_written_anew() -> None:
     assert "\n" not in stream.getvalue()
     display.close()
     assert "… compiling, about 40 s left" in stream.getvalue() and "heard again" not in stream.getvalue()
-    assert "62:03  driving; nothing is known of the tyres yet" in stream.getvalue()
+    assert "62:03  driving; nothing known about the tyres yet" in stream.getvalue()

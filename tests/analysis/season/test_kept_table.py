@@ -50,7 +50,7 @@ def test_one_of_several_machines_is_named_or_asked_for(tmp_path: Path) -> None:
 
 
 def test_what_is_no_season_is_told(tmp_path: Path) -> None:
-    with pytest.raises(MapProblem, match="no season is there; make it with `"):
+    with pytest.raises(MapProblem, match="no season in this folder; make it with `"):
         stretches_of(tmp_path)
     (tmp_path / TABLE).write_bytes(b"none")
     with pytest.raises(MapProblem, match="is damaged"):
