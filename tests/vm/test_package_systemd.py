@@ -25,7 +25,7 @@ CRASHES = b"import time\ntime.sleep(0.5)\nraise SystemExit(3)\n"
 SILENT = b"""
 import os, time
 from tilth.logger.supervisor import of_environment
-def add(subparsers): subparsers.add_parser("run").add_argument("rest", nargs="*")
+def add(subparsers): subparsers.add_parser("run").add_argument("rest", nargs="...")
 def run(args):
     supervisor = of_environment(os.environ)
     while True:
@@ -43,7 +43,6 @@ RELEASES = (
 def stage(out: Path, wheel: Path) -> None:
     """What the scenario finds."""
     text = (CHECKOUT / "deploy/machines/jd7930-parker500.toml").read_text()
-    text = text.replace('interface = "udp_multicast"', 'interface = "virtual"')
     (out / "machine.toml").write_text(text)
     (out / "resting.toml").write_text(text.replace("[log]", "[log]\nignition_off_s = 3"))
     (out / "ours.pub").write_text(KEY.public())
