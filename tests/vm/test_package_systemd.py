@@ -68,6 +68,6 @@ def judge(out: Path) -> None:
 @pytest.mark.skipif(contained.missing() != "", reason=contained.missing())
 def test_the_package_from_installed_to_purged(tmp_path: Path, wheel: Path) -> None:
     stage(tmp_path, wheel)
-    environment = ["env", f"NEEDED={sysconfig.get_path('purelib')}", "TRIAL_S=6.0"]
+    environment = ["env", f"NEEDED={sysconfig.get_path('purelib')}", "TRIAL_S=20.0"]
     contained.with_systemd([*environment, "bash", "-ex", str(HERE / "package.sh")], tmp_path)
     judge(tmp_path)
