@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import ROOT
 from releases import HERE, SigningKey, package_of
 from small_disk import on_a_small_disk
 
@@ -244,3 +245,27 @@ def test_keys_come_from_the_computer_and_from_the_release_and_what_is_none_is_le
     assert set(trusted) == {TRUSTED.name, REVOKED.name, STRANGER.name}
     assert revoked == {TRUSTED.name, REVOKED.name}
     assert "notes.pub is no public key" in capsys.readouterr().err
+
+
+def test_an_upgrade_by_hand_is_on_trial_until_it_has_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = installed(tmp_path / "root")
+    box, before = install.Box(root), root / "opt/tilth/releases/1"
+    release = box.releases / "2"
+    packages = release / "lib/python3.11/site-packages"
+    (packages / "tilth").mkdir(parents=True)
+    (packages / "tilth-0.3.0.dist-info").mkdir()
+    (packages / "tilth/deploy").symlink_to(ROOT / "deploy")
+
+    def cut(box: install.Box) -> bool:
+        raise SystemExit("the power is cut")
+
+    monkeypatch.setattr(install, "_start", cut)
+    with pytest.raises(SystemExit):
+        install._switch(box, release)
+    install.remove_unused(box)
+    assert (box.release("current"), box.release("keeper")) == (release, before) and update.on_trial(box)
+    monkeypatch.setattr(install, "_start", lambda box: True)
+    install._switch(box, release)
+    assert box.release("keeper") == release and not update.on_trial(box)

@@ -27,8 +27,11 @@ def missing() -> str:
     return done.stderr.strip()
 
 
-def with_systemd(command: Sequence[str], out: Path, seconds: float = 600.0) -> None:
-    """Run a command, $OUT in its environment; fails where it does, with what it said."""
+def with_systemd(
+    command: Sequence[str], out: Path, seconds: float = 1800.0, *, upper: Path | None = None
+) -> None:
+    """Run a command, $OUT in its environment; fails where it does, with what it said. upper: a drive of
+    cut_drive.py that has what is changed of the root; else it is in memory."""
     script = HERE / "contained.sh"
     spaces = [
         "unshare",
@@ -42,7 +45,7 @@ def with_systemd(command: Sequence[str], out: Path, seconds: float = 600.0) -> N
         "bash",
         "-e",
     ]
-    environment = {**os.environ, "OUT": str(out), "HOME": "/root"}
+    environment = {**os.environ, "OUT": str(out), "HOME": "/root", "UPPER": str(upper or "")}
     with (out / "console.txt").open("wb") as console:
         done = subprocess.run(
             [*spaces, str(script), *command], stdout=console, stderr=console, env=environment,

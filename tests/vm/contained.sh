@@ -1,15 +1,18 @@
-# Run by contained.py in namespaces of its own: a root under a file system in memory, then with_systemd.sh there.
+# Run by contained.py in namespaces of its own: a root under a file system in memory, or on the first partition of the
+# image $UPPER, then with_systemd.sh there.
 mount --make-rprivate /
 root=$(mktemp -d)
 mount -t tmpfs -o size=8g memory "$root"
-mkdir "$root/upper" "$root/work" "$root/root" "$root/groups"
+mkdir "$root/upper" "$root/root" "$root/groups"
+[ -z "$UPPER" ] || mount -t ext4 -o "loop,offset=$((2048 * 512))" "$UPPER" "$root/upper"
+mkdir -p "$root/upper/files" "$root/upper/work"
 # A control group of its own, which systemd takes for the first.
 mount -t cgroup2 none "$root/groups"
 group="$root/groups/tilth-contained-$(od -An -N4 -tx4 /dev/urandom | tr -d ' ')"
 mkdir "$group"
 emptied() { find "$group" -depth -type d -exec rmdir {} + 2>/dev/null; [ ! -e "$group" ]; }
 trap 'echo 1 >"$group/cgroup.kill"; until emptied; do sleep 0.1; done' EXIT
-mount -t overlay -o "lowerdir=/,upperdir=$root/upper,workdir=$root/work" overlay "$root/root"
+mount -t overlay -o "lowerdir=/,upperdir=$root/upper/files,workdir=$root/upper/work" overlay "$root/root"
 cd "$root/root"
 mount -t proc proc proc
 mount -t sysfs -o ro sys sys

@@ -39,6 +39,7 @@ MACHINE = (
     "-accel tcg -cpu max -smp 2 -m 1024 -nodefaults -no-reboot -display none "
     "-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"
 )
+KERNEL = "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check"
 
 
 def missing() -> str:
@@ -86,12 +87,18 @@ class Guest:
 
 @contextmanager
 def boot(
-    command: Sequence[str], out: Path, *, drives: Sequence[Path] = (), options: Sequence[str] = ()
+    command: Sequence[str],
+    out: Path,
+    *,
+    drives: Sequence[Path] = (),
+    options: Sequence[str] = (),
+    upper: str = "",
 ) -> Iterator[Guest]:
     """Start a machine that runs a command in the checkout and then ends.
 
     out: a folder, made where there is none. drives: raw images, /dev/vda and so on; what a drive has taken
-    from the guest survives `kill`. options: further ones of QEMU.
+    from the guest survives `kill`. options: further ones of QEMU. upper: the drive, an ext4, that has what
+    the guest changes of its root, so that another start finds it; else it is in memory.
     """
     out.mkdir(parents=True, exist_ok=True)
     kernel, initial = _system()
@@ -108,7 +115,7 @@ def boot(
         "qemu-system-x86_64",
         *shlex.split(MACHINE),
         *("-serial", f"file:{console}", "-kernel", str(kernel), "-initrd", str(initial)),
-        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check"),
+        *("-append", f"{KERNEL} upper={upper}" if upper else KERNEL),
         *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),
         *("-virtfs", f"local,path={out},mount_tag=out,security_model=none"),
         *(word for path in drives for word in ("-drive", f"file={path},format=raw,if=virtio")),

@@ -1,5 +1,6 @@
 #!/bin/busybox sh
-# First process of the guest: this computer's own root, read-only, under a file system in memory.
+# First process of the guest: this computer's own root, read-only, under a file system in memory, or on the drive
+# that the kernel was told of: upper=/dev/vda.
 b=/bin/busybox
 $b mount -t proc proc /proc
 $b mount -t sysfs sys /sys
@@ -8,8 +9,8 @@ while read -r module; do
     $b insmod "/modules/$module" || echo "no module $module"
 done </modules/order
 $b mount -t 9p -o trans=virtio,version=9p2000.L,msize=1048576,cache=loose,ro root /lower
-$b mount -t tmpfs memory /upper
-$b mkdir /upper/files /upper/work
+if [ -n "$upper" ]; then $b mount -t ext4 "$upper" /upper; else $b mount -t tmpfs memory /upper; fi
+$b mkdir -p /upper/files /upper/work
 $b mount -t overlay -o lowerdir=/lower,upperdir=/upper/files,workdir=/upper/work overlay /root
 for name in proc sys dev; do
     $b mount --move /$name /root/$name

@@ -1,6 +1,7 @@
 # Run under a systemd of its own by test_package_systemd.py. $OUT has machine.toml, resting.toml (the same, at
 # rest soon), ours.pub, and releases in folders: first, second, waits, crashes, silent. $NEEDED: what Tilth
 # needs, where the packages bring Tilth alone. $TRIAL_S: of an update.
+PS4='+ ${SECONDS} s: '
 ready() { for _ in $(seq "$1"); do if eval "$2"; then return 0; fi; sleep 1; done; return 1; }
 state() { systemctl show tilth --property=ActiveState,NRestarts,StatusText; }
 records() { ready 120 "state | grep -E 'StatusText=(recording|ready)'"; }

@@ -7,73 +7,24 @@ gives a disk, and the kill one more; the file system is mended by its own means,
 
 import os
 import shutil
-import struct
-import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
+import cut_drive
 import numpy as np
 import pytest
+from cut_drive import FIRST, SECTOR, Write, disks, logged, new_drive, noted, run
 from guest import CHECKOUT, boot, missing
 from loopback import logged_frames
 from write_load import MARK, NOW, SPACING_NS
 
 from tilth.logger.log.recovery import finish
 
-pytestmark = [pytest.mark.vm, pytest.mark.skipif(missing() != "", reason=missing())]
-TOOLS = ("mkfs.ext4", "e2fsck", "debugfs")
-SECTOR = 512
-FIRST, SIZE = 2048, 48 << 20  # the file system: its first sector, its bytes
-LAST = FIRST + SIZE // SECTOR  # the partition beside it
+LACKING = missing() or cut_drive.missing()
+pytestmark = [pytest.mark.vm, pytest.mark.skipif(LACKING != "", reason=LACKING)]
+SIZE = 48 << 20  # bytes of the file system
 CUTS = int(os.environ.get("TILTH_CUTS", "30"))
 ENOUGH = 1_200_000  # bytes noted by QEMU: some ten seconds
-FLUSH, FUA, DISCARD = 1, 2, 4
-PATH = f"{os.environ['PATH']}:/usr/sbin:/sbin"
-
-
-@dataclass(frozen=True, slots=True)
-class Write:
-    """What reached the drive: where, what; flushed: everything before it is on the disk for good."""
-
-    sector: int
-    data: bytes
-    flushed: bool
-
-
-def logged(path: Path) -> Iterator[Write]:
-    """The writes of a blklogwrites file, which has the format of dm-log-writes."""
-    with path.open("rb") as file:
-        magic, version, _, sector_size = struct.unpack("<QQQI", file.read(28))
-        assert (magic, version) == (0x6A736677736872, 1)
-        file.seek(sector_size)
-        while len(head := file.read(sector_size)) == sector_size:
-            sector, count, flags, _ = struct.unpack_from("<QQQQ", head)
-            data = b"" if flags & DISCARD else file.read(count * sector_size)
-            if not flags & DISCARD and len(data) < count * sector_size:
-                return  # QEMU itself was killed while it noted this one
-            scale = sector_size // SECTOR
-            yield Write(sector * scale, data, bool(flags & (FLUSH | FUA)))
-
-
-def new_drive(path: Path) -> None:
-    """Two partitions, a file system in the first."""
-    with path.open("wb") as file:
-        file.truncate(LAST * SECTOR + (1 << 20))
-        rows = [
-            struct.pack("<B3sB3sII", 0, b"", 0x83, b"", start, count)
-            for start, count in ((FIRST, SIZE // SECTOR), (LAST, 2048))
-        ]
-        file.seek(446)
-        file.write(b"".join(rows).ljust(64, b"\0") + b"\x55\xaa")
-    offset = f"offset={FIRST * SECTOR}"
-    run("mkfs.ext4", "-q", "-F", "-E", offset, str(path), f"{SIZE >> 10}k")
-
-
-def run(*command: str, good: tuple[int, ...] = (0,)) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": PATH})
-    assert done.returncode in good, f"{command}: {done.stdout}{done.stderr}"
 
 
 def frames_on(disk: bytes, folder: Path) -> list[int]:
@@ -81,7 +32,7 @@ def frames_on(disk: bytes, folder: Path) -> list[int]:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     image = folder / "image"
-    image.write_bytes(disk[FIRST * SECTOR : LAST * SECTOR])
+    image.write_bytes(disk[FIRST * SECTOR :][:SIZE])
     run("e2fsck", "-p", str(image), good=(0, 1))
     run("debugfs", "-R", f"rdump /logs {folder}", str(image))
     found = []
@@ -94,24 +45,15 @@ def frames_on(disk: bytes, folder: Path) -> list[int]:
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[Write], bytes]:
     """The drive before, all that was written to it under load, and how the kill left it."""
-    if lacking := [tool for tool in TOOLS if shutil.which(tool, path=PATH) is None]:
-        pytest.skip(f"no {', '.join(lacking)}: apt-get install e2fsprogs")
     folder = tmp_path_factory.mktemp("drive")
     image, log = folder / "image", folder / "log"
-    new_drive(image)
-    log.touch()
+    new_drive(image, SIZE)
     before = image.read_bytes()
     script = (
         "mkdir /mnt/disk && mount /dev/vda1 /mnt/disk && mkdir /mnt/disk/logs && sync && "
         f"python {CHECKOUT}/tests/vm/write_load.py /mnt/disk/logs /dev/vda2"
     )
-    options = [
-        *("-blockdev", f"driver=file,node-name=image,filename={image}"),
-        *("-blockdev", f"driver=file,node-name=log,filename={log}"),
-        *("-blockdev", "driver=blklogwrites,node-name=drive,file=image,log=log"),
-        *("-device", "virtio-blk-pci,drive=drive"),
-    ]
-    with boot(["bash", "-c", script], folder / "out", options=options) as guest:
+    with boot(["bash", "-c", script], folder / "out", options=noted(image, log)) as guest:
         guest.until(lambda: log.stat().st_size > ENOUGH)
         guest.kill()
     return before, list(logged(log)), image.read_bytes()
@@ -141,34 +83,3 @@ def test_at_any_instant_a_cut_costs_less_than_a_second_and_no_file(
     with capsys.disabled():
         sys.stdout.write(f"\n{output}\n")
     assert max(lost) < 1.0 and collected[-1][1] > 3000
-
-
-def disks(
-    before: bytes, writes: list[Write], cuts: list[int], rng: np.random.Generator
-) -> Iterator[tuple[int, bytes]]:
-    """The disk as a cut before each of these writes leaves it."""
-    safe, unsafe = bytearray(before), list[Write]()
-    for number, write in enumerate(writes):
-        if number in cuts:
-            yield number, cut(safe, unsafe, rng)
-        if write.flushed:
-            for earlier in unsafe:
-                put(safe, earlier)
-            unsafe.clear()
-        unsafe.append(write)
-
-
-def put(disk: bytearray, write: Write) -> None:
-    at = write.sector * SECTOR
-    disk[at : at + len(write.data)] = write.data
-
-
-def cut(safe: bytearray, unsafe: list[Write], rng: np.random.Generator) -> bytes:
-    """What the power leaves: all that was flushed, and anything of the rest."""
-    disk = bytearray(safe)
-    for write in unsafe:
-        retained = rng.choice(3)
-        sectors = len(write.data) // SECTOR
-        part = sectors if retained == 2 else int(rng.integers(sectors + 1)) if retained == 1 else 0
-        put(disk, Write(write.sector, write.data[: part * SECTOR], False))
-    return bytes(disk)

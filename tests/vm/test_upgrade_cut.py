@@ -1,0 +1,115 @@
+"""The power is cut in the middle of an upgrade: the old release or the new one records, and no log is lost.
+
+A computer upgrades while it records, on a drive that notes its writes (cut_drive.py); a cut at each instant
+gives a disk, which starts again under a systemd of its own. The computer is this one's kernel, in namespaces
+(contained.py), and by hand the virtual machine:
+`TILTH_CUTS=20 pytest -m "vm or vm_systemd" -n 0 tests/vm/test_upgrade_cut.py`.
+"""
+
+import collections
+import itertools
+import os
+import shutil
+import sys
+import sysconfig
+import zipfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from pathlib import Path
+
+import contained
+import cut_drive
+import guest
+import numpy as np
+import pytest
+from cut_drive import disks, logged, new_drive, noted, noted_here
+from loopback import logged_frames, machine_text, udp_bus
+from releases import release_of
+
+LACKING = guest.missing() or contained.missing() or cut_drive.missing()
+pytestmark = pytest.mark.skipif(LACKING != "", reason=LACKING)
+HERE = Path(__file__).parent
+PORT = 47111  # in a network of its own
+CUTS = int(os.environ.get("TILTH_CUTS", "2"))
+SIZE = 400 << 20  # bytes of what is changed of the root
+LOST = 150  # frames of the last three seconds: two are allowed (docs), and the computer may be busy
+
+
+def scenario(*words: str) -> list[str]:
+    environment = ["env", f"NEEDED={sysconfig.get_path('purelib')}", f"PORT={PORT}"]
+    return [*environment, "bash", "-ex", str(HERE / "upgrade.sh"), *words]
+
+
+def here(image: Path, log: Path, out: Path) -> None:
+    with noted_here(image, log) as drive:
+        contained.with_systemd(scenario("cut"), out, upper=drive)
+
+
+def in_the_machine(image: Path, log: Path, out: Path) -> None:
+    command = ["bash", "-x", str(HERE / "with_systemd.sh"), *scenario("cut")]
+    with guest.boot(command, out, options=noted(image, log), upper="/dev/vda1") as machine:
+        machine.finish()
+
+
+def is_of(wheel: Path, release: Path) -> bool:
+    """Whether all of it is there, to the byte; what says its version aside."""
+    with zipfile.ZipFile(wheel) as content:
+        names = [name for name in content.namelist() if name.startswith("tilth/")]
+        return all((release / name).read_bytes() == content.read(name) for name in names)
+
+
+@pytest.mark.parametrize(
+    "upgraded",
+    [pytest.param(here, marks=pytest.mark.vm), pytest.param(in_the_machine, marks=pytest.mark.vm_systemd)],
+)
+def test_after_a_cut_at_any_instant_a_whole_release_records_and_no_log_is_lost(
+    upgraded: Callable[[Path, Path, Path], None],
+    tmp_path: Path,
+    wheel: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out, image, log = tmp_path / "out", tmp_path / "image", tmp_path / "log"
+    out.mkdir()
+    (out / "machine.toml").write_text(machine_text(tmp_path, udp_bus("can0", PORT)))
+    for name, version in (("old", "1.0.0"), ("new", "2.0.0")):
+        release_of(wheel, tmp_path / name, version).rename(out / f"{name}.deb")
+    new_drive(image, SIZE)
+    contained.with_systemd(scenario("installed"), out, upper=image)
+    earlier = {path.name: path.read_bytes() for path in (out / "logs").iterdir()}
+    assert earlier
+    before = image.read_bytes()
+
+    samples = list[
+        tuple[int, int]
+    ]()  # bytes of QEMU's log, frames that were sent by then; while it is upgraded
+    with ThreadPoolExecutor(1) as pool:
+        job = pool.submit(upgraded, image, log, out)
+        while not wait([job], 0.02).done:
+            if (out / "begun").exists() and not (out / "ended").exists():
+                sent = int.from_bytes((out / "sent").read_bytes(), "little")
+                samples.append((log.stat().st_size, sent))
+        job.result()
+    writes = list(logged(log))
+    places = list(itertools.accumulate(512 + len(write.data) for write in writes))
+
+    rng = np.random.default_rng(11)
+    at = np.sort(rng.integers(samples[0][0], samples[-1][0], CUTS))
+    cuts = dict(zip(np.searchsorted(places, at).tolist(), at.tolist(), strict=True))
+    lost, versions = list[int](), collections.Counter[str]()
+    for number, disk in disks(before, writes, list(cuts), rng):
+        image.write_bytes(disk)
+        for folder in ("logs", "release"):
+            shutil.rmtree(out / folder, ignore_errors=True)
+        contained.with_systemd(scenario("started", "again" if number == max(cuts) else ""), out, upper=image)
+        assert is_of(wheel, out / "release")
+        versions[(out / "current").read_text().strip().rpartition("/")[2]] += 1
+        for name, data in earlier.items():
+            assert (out / "logs" / name).read_bytes() == data
+        frames = [f for path in sorted((out / "logs").glob("*.mcap")) for f in logged_frames(path)]
+        assert [int.from_bytes(frame.data, "little") for frame in frames] == list(range(len(frames)))
+        given = next(sent for size, sent in samples if size >= cuts[number])
+        lost.append(given - len(frames))
+    assert "tilth-2.0.0" in (out / "again").read_text()  # what was begun can be ended
+    with capsys.disabled():
+        sys.stdout.write(f"\n{len(lost)} cuts: {dict(versions)}; frames lost at most {max(lost)}\n")
+    assert set(versions) <= {"tilth-1.0.0.dist-info", "tilth-2.0.0.dist-info"} and max(lost) < LOST
