@@ -3,8 +3,8 @@
     apt-get install qemu-user-static mmdebstrap arch-test
     uv run python -m tilth.deploy.emulated /tmp/armv8 -m tilth.cli replay --verify LOG.mcap
 
-The first call makes the folder /tmp/armv8, of Debian's packages and wheels. It computes as such a computer does,
-twenty times slower. See README.md beside this file.
+The first call makes the folder /tmp/armv8, of Debian's packages and wheels. It computes as such a computer
+does, twenty times slower. See README.md beside this file.
 """
 
 import argparse
@@ -27,7 +27,7 @@ told=/proc/sys/fs/binfmt_misc
 test -e $told/qemu-aarch64 || {{ mount -t binfmt_misc none $told && cat {EMULATOR} >$told/register; }}
 exec "$@"
 """
-"""A shell's words: run a program while Linux knows the emulator, so that what that program starts runs too."""
+"""A shell's words: run a program while Linux knows the emulator, so that what it starts runs too."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -80,8 +80,8 @@ def run(root: Path, *words: str | Path) -> subprocess.CompletedProcess[bytes]:
 
 
 def wheel(root: Path, folder: Path, made_s: str) -> None:
-    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it. made_s: the time in it,
-    s since 1970. Raises CalledProcessError."""
+    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it. made_s: the time in
+    it, s since 1970. Raises CalledProcessError."""
     build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps", "--wheel-dir", folder]
     ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
     subprocess.run([*python(root), *build, HERE.parent], env=ours, check=True)
