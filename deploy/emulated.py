@@ -84,6 +84,7 @@ def wheel(root: Path, folder: Path, made_s: str) -> None:
     it, s since 1970. Raises CalledProcessError."""
     build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps", "--wheel-dir", folder]
     ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
+    ours |= {"PYTHONWARNINGS": "ignore"}  # setuptools', of each folder of data
     subprocess.run([*python(root), *build, HERE.parent], env=ours, check=True)
     (own,) = folder.glob("tilth-*.whl")
     with zipfile.ZipFile(own) as content:
