@@ -20,6 +20,7 @@ HERE = Path(__file__).resolve().parent
 DEBIAN: Final = "bookworm"
 PYTHON: Final = "3.11"  # its own
 WHEELS: Final = "aarch64-manylinux_2_28"  # that it can load, as uv names them
+GLIBC: Final = range(36, 16, -1)  # 2.x, Debian's and older ones: which wheels it can load, as pip names them
 REMEDY: Final = "apt-get install qemu-user-static mmdebstrap arch-test"
 EMULATOR: Final = Path("/usr/lib/binfmt.d/qemu-aarch64.conf")  # how Linux is told of it
 KNOWN: Final = f"""
@@ -79,9 +80,10 @@ def run(root: Path, *words: str | Path) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run([*python(root), *words], env={**environment(root), **of_checkout}, check=False)
 
 
-def wheel(root: Path, folder: Path, made_s: str) -> None:
-    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it. made_s: the time in
-    it, s since 1970. Raises CalledProcessError."""
+def wheels(root: Path, folder: Path, made_s: str) -> Path:
+    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it, and those of
+    constraints.txt, which are ready made. made_s: the time in it, s since 1970. Returns the folder. Raises
+    CalledProcessError."""
     build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps", "--wheel-dir", folder]
     ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
     ours |= {"PYTHONWARNINGS": "ignore"}  # setuptools', of each folder of data
@@ -90,6 +92,21 @@ def wheel(root: Path, folder: Path, made_s: str) -> None:
     with zipfile.ZipFile(own) as content:
         kernels = [name for name in content.namelist() if name.startswith("tilth/estimator/kernels/")]
         content.extractall(HERE.parent / ".typing", kernels)
+    pip: list[str | Path] = [
+        "uv",
+        "tool",
+        "run",
+        "--python",
+        PYTHON,
+        "pip",
+        "download",
+        "--quiet",
+        "--no-deps",
+    ]
+    loads = [word for minor in GLIBC for word in ("--platform", f"manylinux_2_{minor}_aarch64")]
+    pip += ["--no-deps", "--only-binary", ":all:", "--python-version", PYTHON, *loads]
+    subprocess.run([*pip, "--dest", folder, "-r", HERE / "constraints.txt"], check=True)
+    return folder
 
 
 if __name__ == "__main__":
