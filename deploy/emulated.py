@@ -3,8 +3,8 @@
     apt-get install qemu-user-static mmdebstrap arch-test
     uv run python -m tilth.deploy.emulated /tmp/armv8 -m tilth.cli replay --verify LOG.mcap
 
-The first call makes the folder /tmp/armv8, of Debian's packages and wheels. It computes as such a computer does,
-twenty times slower. See README.md beside this file.
+The first call makes the folder /tmp/armv8, of Debian's packages and wheels. It computes as such a computer
+does, twenty times slower. See README.md beside this file.
 """
 
 import argparse
@@ -20,6 +20,7 @@ HERE = Path(__file__).resolve().parent
 DEBIAN: Final = "bookworm"
 PYTHON: Final = "3.11"  # its own
 WHEELS: Final = "aarch64-manylinux_2_28"  # that it can load, as uv names them
+GLIBC: Final = range(36, 16, -1)  # 2.x, Debian's and older ones: which wheels it can load, as pip names them
 REMEDY: Final = "apt-get install qemu-user-static mmdebstrap arch-test"
 EMULATOR: Final = Path("/usr/lib/binfmt.d/qemu-aarch64.conf")  # how Linux is told of it
 KNOWN: Final = f"""
@@ -27,7 +28,7 @@ told=/proc/sys/fs/binfmt_misc
 test -e $told/qemu-aarch64 || {{ mount -t binfmt_misc none $told && cat {EMULATOR} >$told/register; }}
 exec "$@"
 """
-"""A shell's words: run a program while Linux knows the emulator, so that what that program starts runs too."""
+"""A shell's words: run a program while Linux knows the emulator, so that what it starts runs too."""
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -79,16 +80,33 @@ def run(root: Path, *words: str | Path) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run([*python(root), *words], env={**environment(root), **of_checkout}, check=False)
 
 
-def wheel(root: Path, folder: Path, made_s: str) -> None:
-    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it. made_s: the time in it,
-    s since 1970. Raises CalledProcessError."""
+def wheels(root: Path, folder: Path, made_s: str) -> Path:
+    """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it, and those of
+    constraints.txt, which are ready made. made_s: the time in it, s since 1970. Returns the folder. Raises
+    CalledProcessError."""
     build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps", "--wheel-dir", folder]
     ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
+    ours |= {"PYTHONWARNINGS": "ignore"}  # setuptools', of each folder of data
     subprocess.run([*python(root), *build, HERE.parent], env=ours, check=True)
     (own,) = folder.glob("tilth-*.whl")
     with zipfile.ZipFile(own) as content:
         kernels = [name for name in content.namelist() if name.startswith("tilth/estimator/kernels/")]
         content.extractall(HERE.parent / ".typing", kernels)
+    pip: list[str | Path] = [
+        "uv",
+        "tool",
+        "run",
+        "--python",
+        PYTHON,
+        "pip",
+        "download",
+        "--quiet",
+        "--no-deps",
+    ]
+    loads = [word for minor in GLIBC for word in ("--platform", f"manylinux_2_{minor}_aarch64")]
+    pip += ["--no-deps", "--only-binary", ":all:", "--python-version", PYTHON, *loads]
+    subprocess.run([*pip, "--dest", folder, "-r", HERE / "constraints.txt"], check=True)
+    return folder
 
 
 if __name__ == "__main__":

@@ -68,19 +68,16 @@ def gather(folder: Path, armv8: Path | None = None) -> Path:
     armv8: where an emulated computer is, or is to be made, which builds them. Raises CalledProcessError,
     OSError.
     """
-    here = {**os.environ, "SOURCE_DATE_EPOCH": commit_s()}
-    if armv8 is None:
-        build: list[str | Path] = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
-        subprocess.run(build, check=True, env=here)
-        pip: list[str | Path] = ["uv", "tool", "run", "--python", sys.executable, "pip"]
-    else:
+    if armv8 is not None:
         emulated.make(armv8.resolve())
-        emulated.wheel(armv8.resolve(), folder, commit_s())
-        pip = [*emulated.python(armv8.resolve()), "-m", "pip"]
-        here |= emulated.environment(armv8.resolve())
+        return emulated.wheels(armv8.resolve(), folder, commit_s())
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": commit_s()}
+    build: list[str | Path] = ["uv", "build", "--wheel", "--quiet", "--out-dir", folder, CHECKOUT]
+    subprocess.run(build, check=True, env=environment)
     (own,) = folder.glob("tilth-*.whl")
+    pip: list[str | Path] = ["uv", "tool", "run", "--python", sys.executable, "pip", "wheel", "--quiet"]
     constraints: list[str | Path] = ["--constraint", HERE / "constraints.txt"]
-    subprocess.run([*pip, "wheel", "--quiet", *constraints, "--wheel-dir", folder, own], check=True, env=here)
+    subprocess.run([*pip, *constraints, "--wheel-dir", folder, own], check=True, env=environment)
     (folder / ".gitignore").unlink(missing_ok=True)
     return folder
 

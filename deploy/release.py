@@ -3,7 +3,8 @@ it is for; with `--armv8 FOLDER` also for ARMv8, by an emulated computer (emulat
 
 OUT then has all that a person puts where releases are had: Tilth's wheel and Debian package for each kind of
 processor, what they are made of (SBOM, CycloneDX), notes.md from the newest section of CHANGELOG.md,
-SHA256SUMS; and with --key signatures of packages and sums. The same checkout, wheels and key give the same bytes.
+SHA256SUMS; and with --key signatures of packages and sums. The same checkout, wheels and key give the same
+bytes.
 """
 
 import argparse

@@ -73,7 +73,7 @@ def has_baseline() -> bool:
 
 
 def lacking() -> str:
-    """The instructions of its family's baseline that this processor lacks, or "a baseline" where it has none."""
+    """The instructions of its family's baseline that this processor lacks; "a baseline" if it has none."""
     if platform.machine() not in BASELINES:
         return "a baseline"
     _, needed = BASELINES[platform.machine()]

@@ -1,11 +1,11 @@
 """Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
 
-`python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it: the
-installer, and the build of a wheel, whose word "only" has all other kernels removed from the package. With "-"
-it is the recorder's own process (logger/preparing.py): the machine comes in a line, what goes out are lines
-that say how far it is. Each has a second process beside it ("fits"), on another core: what one has compiled
-the other finds on disk. That one begins with the slopes by parameters and with what only rows need, so that
-they don't both compile the rig's motion.
+`python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it:
+the installer, and the build of a wheel, whose word "only" has all other kernels removed from the package.
+With "-" it is the recorder's own process (logger/preparing.py): the machine comes in a line, what goes out
+are lines that say how far it is. Each has a second process beside it ("fits"), on another core: what one has
+compiled the other finds on disk. That one begins with the slopes by parameters and with what only rows need,
+so that they don't both compile the rig's motion.
 """
 
 import contextlib
@@ -36,8 +36,8 @@ UNTRUSTED: Final = (
     "empty that folder, and let nobody but this user write it (chmod go-w)"
 )
 LACKING: Final = (
-    "this processor ({}) lacks {}: kernels of a package are not for it, so they are compiled for it once, at the "
-    "installation or the first start"
+    "this processor ({}) lacks {}: a package's kernels are not for it, so they are compiled for it once, "
+    "at the installation or the first start"
 )
 SECONDS: Final = {"over_ticks": 10.0, "motion_by_parameter": 1.5, "motion_by_state": 2.0, "motion": 0.8}
 """How long functions that take long take to compile, of a processor that does other work too. Slopes by

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -54,7 +55,15 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     assert box.setup("rollback").returncode == 1  # there is none before
     result = box.setup("upgrade", wheel)
     assert result.returncode == 0 and (box.release("current"), box.release("previous")) == ("2", "1")
-    for bad, words in ((tmp_path / "bad.whl", "no wheel of Tilth"), (tmp_path / "empty", "give a wheel")):
+    for name, words in (
+        ("bad.whl", "no wheel of Tilth"),
+        ("empty", "give a wheel"),
+        (
+            "tilth-9.0.0-py3-none-linux_riscv64.whl",
+            f"is for riscv64 and this computer is {platform.machine()}",
+        ),
+    ):
+        bad = tmp_path / name
         bad.write_text("") if bad.suffix else bad.mkdir()
         result = box.setup("upgrade", bad)
         assert result.returncode == 1 and words in result.stderr

@@ -12,6 +12,7 @@ import pytest
 from logs import MACHINE_FILE
 
 from tilth.estimator import kernel_store
+from tilth.logger import compiling
 
 INSTALLED = """
 import json, sys, time
@@ -103,7 +104,8 @@ def test_the_baseline_is_what_this_family_of_processors_has(monkeypatch: pytest.
     monkeypatch.setattr(kernel_store, "get_host_cpu_features", lambda: {"avx2": True, "fma": False})
     monkeypatch.setattr("platform.machine", lambda: "x86_64")
     assert not kernel_store.has_baseline()
+    assert "processor (x86_64) lacks bmi, bmi2, f16c, fma, lzcnt, movbe:" in compiling.lacking()
     monkeypatch.setattr("platform.machine", lambda: "riscv64")
-    assert not kernel_store.has_baseline()
+    assert not kernel_store.has_baseline() and "(riscv64) lacks a baseline:" in compiling.lacking()
     monkeypatch.setattr("platform.machine", lambda: "aarch64")
-    assert kernel_store.has_baseline()
+    assert kernel_store.has_baseline() and not compiling.lacking()
