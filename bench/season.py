@@ -13,8 +13,8 @@ repository.
 `run` identifies it anew with so many workers in turn, into a folder that is removed afterwards, and once more
 with nothing to do. `held` counts, of the season OUT that `tilth season FOLDER --out OUT` has made, in how
 many stretches the true value lies within 95 %: of what the stretch tells alone, of what was known by then,
-and of what the whole season says. The truth of a stretch is the mean of the logarithm under each axle over
-its time.
+and of what the whole season says; and for each implement and load. The truth of a stretch is the mean of the
+logarithm under each axle over its time.
 """
 
 import argparse
@@ -189,17 +189,23 @@ def truth_of(log: Path) -> tuple[Array, Array]:
 
 
 def held(out: Path) -> None:
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
-    rows = [row for row in pq.read_table(out / "stretches.parquet").to_pylist() if row["kind"] == "stretch"]
+    table = pq.read_table(out / "stretches.parquet").filter(pc.field("kind") == "stretch")
+    lasts = (table["end_utc"].to_numpy() - table["begin_utc"].to_numpy()).astype(np.float64)  # turns too, ns
+    rows = table.to_pylist()
     truths: dict[str, tuple[Array, Array]] = {}
     scores: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
+    by_implement: dict[str, dict[str, list[float]]] = {}
+    for row, lasts_ns in zip(rows, lasts.tolist(), strict=True):
         if row["status"] != "estimated":
             continue
-        t_ns, logs = truths.setdefault(row["log"], truth_of(Path(row["log"])))
+        if row["log"] not in truths:
+            truths[row["log"]] = truth_of(Path(row["log"]))
+        t_ns, logs = truths[row["log"]]
         begin = row["begin_ns"]
-        true = logs[(t_ns >= begin) & (t_ns <= begin + 1e9 * row["seconds"])].mean(axis=0)
+        true = logs[(t_ns >= begin) & (t_ns <= begin + lasts_ns)].mean(axis=0)
         for way in ("alone", "forward", "season"):
             covariance = np.array(row[f"{way}_log_covariance"]).reshape(6, 6)
             for k, name in enumerate(PARAMETERS):
@@ -207,6 +213,8 @@ def held(out: Path) -> None:
                     off = math.log(row[f"{way}_{name}"]) - true[k]
                     scores.setdefault((way, name), []).append(off / math.sqrt(covariance[k, k]))
                     scores.setdefault((f"{way} sd", name), []).append(math.sqrt(covariance[k, k]))
+                    of = by_implement.setdefault(row["implement"], {}).setdefault(f"{way} {name}", [])
+                    of.append(scores[way, name][-1])
     print(f"{len(rows)} stretches, {sum(row['status'] == 'estimated' for row in rows)} with numbers")
     for way in ("alone", "forward", "season"):
         cells = [
@@ -217,6 +225,9 @@ def held(out: Path) -> None:
         ]
         every = np.concatenate([np.array(scores.get((way, name), [])) for name in PARAMETERS])
         print(f"{way}: {100 * np.mean(np.abs(every) <= WITHIN):.1f} % of {len(every)}; " + ", ".join(cells))
+    for implement, of_one in sorted(by_implement.items()):
+        told = (f"{what} {np.sum(np.abs(z) <= WITHIN)} of {len(z)}" for what, z in of_one.items())
+        print(f"{implement}: " + ", ".join(told))
 
 
 def main() -> None:

@@ -7,20 +7,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from logs import MACHINE, OTHER_TEXT, some_frames, write_mcap
+from logs import MACHINE, OTHER_TEXT, SECOND, START_NS, some_frames, write_mcap
 from recorded import cut, recorded
 
 from tilth.analysis.runs.kept import load
 from tilth.analysis.season.identified import Identified
 from tilth.analysis.season.page import report_of, write_summary
 from tilth.analysis.season.season import DONE, RUNS, SUMMARY, TABLE, Season, SeasonProblem, finish, season
-from tilth.analysis.season.stretches import UNCONFIRMED
+from tilth.analysis.season.stretches import UNCONFIRMED, UNDATED
 from tilth.analysis.workers.parts import LOST, LostPart, Parts, here
 from tilth.estimator.filters.unknowns import SIX, prior
 from tilth.logger.log import whole_file
@@ -143,18 +144,41 @@ def test_two_seasons_do_not_write_into_one_folder(logs: Path, tmp_path: Path) ->
     made(logs, out=tmp_path / "out", parts=second)
 
 
-def test_machines_of_one_name_are_kept_apart_and_told_of(tmp_path: Path) -> None:
-    write_mcap(tmp_path / "a.mcap", some_frames(30), run="a")
-    write_mcap(
-        tmp_path / "b.mcap",
-        some_frames(31),
-        run="b",
-        text=OTHER_TEXT.replace("mass = 9391.0", "mass = 9000.0"),
-    )
+CART = OTHER_TEXT.replace("[implement]", '[implement]\nname = "cart"', 1)
+
+
+@pytest.mark.parametrize(
+    ("texts", "name"),
+    [
+        ((OTHER_TEXT, OTHER_TEXT.replace("mass = 9391.0", "mass = 9000.0")), MACHINE.machine.name),
+        ((CART, CART.replace("d = 3.62", "d = 4.10")), f"{MACHINE.machine.name}+cart"),
+    ],
+    ids=["two machines", "two implements"],
+)
+def test_rigs_of_one_name_are_kept_apart_and_told_of(
+    texts: tuple[str, str], name: str, tmp_path: Path
+) -> None:
+    assert texts[0] != texts[1]
+    for k, text in enumerate(texts):
+        write_mcap(tmp_path / f"{k}.mcap", some_frames(30 + k), run=str(k), text=text)
     found = made(tmp_path, out=tmp_path / "out")
     assert found.runs is not None and found.runs[0].rig != found.runs[1].rig
     told = " ".join(text for one in found.runs for text in one.look)
-    assert "kept apart" in told and "two machines have the name" in told
+    assert "kept apart" in told and f"two machines have the name {name}" in told
+
+
+def test_a_run_whose_clock_is_of_1970_is_told_of_and_the_rest_goes_on(logs: Path, tmp_path: Path) -> None:
+    frames = [
+        replace(f, t_ns=f.t_ns - START_NS + SECOND, rx_ns=f.rx_ns - START_NS + SECOND)
+        for f in some_frames(40)
+    ]
+    write_mcap(logs / "a_clock.mcap", frames, run="clock")
+    found = made(logs, out=tmp_path / "out")
+    assert found.runs is not None
+    assert [one.run.name for one in found.runs] == ["day0", "day1", "day2", "a_clock"]
+    assert [UNDATED in one.look for one in found.runs] == [False] * 3 + [True]
+    runs = [row for row in rows_of(tmp_path / "out") if row["kind"] == "run"]
+    assert [row["begin_utc"] is None for row in runs] == [False] * 3 + [True]
 
 
 @pytest.mark.long

@@ -57,6 +57,7 @@ from tilth.estimator.record.record import (
     Record,
     Segment,
 )
+from tilth.estimator.results import advice
 from tilth.schemas.flow import PARAMETERS, Estimate, Event, Pose, Status
 from tilth.schemas.reasons import Code
 from tilth.schemas.sentences import event_sentence
@@ -240,6 +241,18 @@ def test_the_fold_and_its_stretches_give_the_same() -> None:
     state, given, _, _ = driven(RANDOM, 0)
     method_state = learned(given)
     assert method_state.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
+
+
+def test_advice_that_nobody_reads_is_not_made_and_the_same_is_learned() -> None:
+    _, given, _, _ = driven(RANDOM, 0)
+    advised = learned(given)
+    with advice.unread():
+        unread = learned(given)
+    assert advised.advisor.table and advised.advisor.advice
+    assert not unread.advisor.table and unread.advisor.advice is None
+    for name in ("mean", "covariance", "P_xtheta"):
+        assert getattr(unread, name).tobytes() == getattr(advised, name).tobytes()
+    assert learned(given[: len(given) // 2]).advisor.table  # read again from here on
 
 
 # Another soil
