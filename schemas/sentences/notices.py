@@ -7,7 +7,7 @@ from typing import Final
 
 from tilth.schemas.flow import Event, FlagKind
 from tilth.schemas.notices import Notice, NoticeCode
-from tilth.schemas.reasons import Reason
+from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import german_notices
 from tilth.schemas.sentences.german import GERMAN
 from tilth.schemas.sentences.reasons import ENGLISH, sentence
@@ -369,6 +369,10 @@ HITCHED: Final[Mapping[str, str]] = {
     GERMAN: " Hängt ein anderes Gerät dran, als die Datei beschreibt: dieses wählen (`tilth implement`).",
 }
 """Where what contradicts the file is the implement's, or may be."""
+_WHILE_DRIVING: Final = frozenset({
+    Code.RECEIVER_MOVED, Code.PAIR_TURNED, Code.WHEEL_SLIPPED, Code.DRAWBAR_CHANGED, Code.TYRES_CHANGED,
+})  # fmt: skip
+"""Then it was the right implement before."""
 
 
 def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
@@ -392,7 +396,11 @@ def notice_sentence(notice: Notice, language: str = ENGLISH) -> str:
 
 
 def _of_implement(reason: Reason | None) -> bool:
-    return reason is not None and any("implement" in key for key in reason.of)
+    return (
+        reason is not None
+        and reason.code not in _WHILE_DRIVING
+        and any("implement" in key for key in reason.of)
+    )
 
 
 def values_of(code: NoticeCode) -> list[str]:

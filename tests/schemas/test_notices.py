@@ -178,6 +178,8 @@ MOVED = sentence(LEVER)
 ASKED = "It is not used: accept it as it is now (implement_rear or a drawbar), or put it back"
 TYRES = Reason(Code.TYRES_CHANGED, ("tractor.wheel_speed_factor", "wheel_speed"), (1.0, 1.04, 0.005, 0.005))
 CHANGED = sentence(TYRES)
+FARTHER = Reason(Code.DRAWBAR_OFF, ("implement.d or tractor.c", "drawbar"), (-0.2, 0.02))
+OTHER = "If another implement is hitched on than the file describes, choose it (`tilth implement`)."
 OPPOSITE = Reason(Code.WHEEL_OPPOSITE, ("wheel_angle.sign",))
 
 
@@ -187,6 +189,8 @@ OPPOSITE = Reason(Code.WHEEL_OPPOSITE, ("wheel_angle.sign",))
         (reasoned(OPPOSITE, NoticeCode.CONTRADICTED),
          f"{sentence(OPPOSITE)} Until this is over no number is given"),  # it ends with a "?"
         (reasoned(LEVER, NoticeCode.CONTRADICTED), f"{MOVED}. Until this is over no number is given"),
+        (reasoned(FARTHER, NoticeCode.CONTRADICTED),
+         f"{sentence(FARTHER)} {OTHER} Until this is over no number is given"),
         (reasoned(OPPOSITE, NoticeCode.FITS_AGAIN, key="wheel_angle.sign"),
          "wheel_angle.sign: over; the data fit the machine file again"),
         (reasoned(LEVER, NoticeCode.MOVED, ago_min=1.4), f"{MOVED}; 1 min ago. {ASKED}"),
