@@ -137,7 +137,7 @@ def expect_a_lost_receiver(page: Page, rig: FieldRig, request: pytest.FixtureReq
     lost = state_of(page, "Implement rear")
     expect(lost).to_have_attribute("data-state", "bad", timeout=SOON_MS)
     expect(lost).to_contain_text("LOST")
-    expect(page.locator("#problems")).to_contain_text("no longer heard; check its power and plug")
+    expect(page.locator("#problems")).to_contain_text("no longer heard; check power and plug")
     expect(page.locator("#events")).to_contain_text("implement_rear", timeout=SOON_MS)
     picture(request, page, "page-receiver-lost")
     rig.unplug()
