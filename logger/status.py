@@ -15,14 +15,13 @@ FRAME_BITS = 142  # of a frame of eight bytes with a long identifier, its usual 
 NOMINAL_BYTES_PER_S = 40_000.0  # 800 frames/s of four receivers and a full implement bus, with results
 
 _RECEIVER_PROBLEMS: Mapping[str, str] = {
-    DeviceState.WAITING: "not heard yet; check its power, its bus, its NAME (said when it is switched on) or "
-    "source",
-    DeviceState.NO_DATA: "heard, but it gives no position; check its antenna and corrections",
-    DeviceState.LOST: "no longer heard; check its power and plug",
+    DeviceState.WAITING: "not heard yet; check power, bus, and NAME (sent when it is switched on) or source",
+    DeviceState.NO_DATA: "heard, but without a position; check antenna and corrections",
+    DeviceState.LOST: "no longer heard; check power and plug",
 }
 _WHEEL_PROBLEMS: Mapping[str, str] = {
-    DeviceState.WAITING: "not heard yet; check its power, its bus and [wheel_angle] in the machine file",
-    DeviceState.LOST: "no longer heard; check its power and plug",
+    DeviceState.WAITING: "not heard yet; check power, bus, and [wheel_angle] in the machine file",
+    DeviceState.LOST: "no longer heard; check power and plug",
 }
 _GOOD_FIXES = ("rtk_fixed", "precise", "simulated", "")
 
@@ -103,15 +102,17 @@ def problems_of(status: pb.Status, buses: Iterable[LiveBus], recording: Recordin
 
 
 def _sensor_problems(status: pb.Status) -> list[str]:
-    found = []
+    """One sentence for all receivers with the same problem: a dead bus has them all."""
+    receivers: dict[str, list[str]] = {}
     for receiver in status.receivers:
         name = receiver.mount.replace("_", " ")
         if receiver.state == DeviceState.WAITING and receiver.source >= 0:
             continue  # it is heard, and may need some seconds to its first position
         if receiver.state in _RECEIVER_PROBLEMS:
-            found.append(f"{name}: {_RECEIVER_PROBLEMS[receiver.state]}")
+            receivers.setdefault(_RECEIVER_PROBLEMS[receiver.state], []).append(name)
         elif receiver.fix not in _GOOD_FIXES:
-            found.append(f"{name}: fix is {receiver.fix}, no RTK; check corrections")
+            receivers.setdefault(f"fix is {receiver.fix}, no RTK; check corrections", []).append(name)
+    found = [f"{', '.join(names)}: {problem}" for problem, names in receivers.items()]
     if status.wheel_angle.state in _WHEEL_PROBLEMS:
         found.append(f"wheel angle: {_WHEEL_PROBLEMS[status.wheel_angle.state]}")
     return found

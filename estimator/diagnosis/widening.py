@@ -65,6 +65,11 @@ _OFTEN: Final = np.array(
 the file's sd of it."""
 
 
+def _largest(widest: float, own: float) -> float:
+    """Largest sd of a logarithm that is given: never less than a share of the method's own."""
+    return max(widest, WIDENING.least * own)
+
+
 @dataclass(slots=True)
 class Widening:
     """What errors of the file do to the covariance of the six logarithms."""
@@ -81,7 +86,7 @@ class Widening:
 
     def limit(self, own: float, had: bool = False) -> float:
         """Largest sd of a logarithm that is given. own: by the method; had: it was given before."""
-        return max(WIDENING.widest, WIDENING.least * own) * (WIDENING.withdrawn if had else 1.0)
+        return _largest(WIDENING.widest, own) * (WIDENING.withdrawn if had else 1.0)
 
     def reason(self, k: int, own: float, limit: float) -> Reason | None:
         """Why parameter k is wide, or not given; None where nothing is to be said."""
@@ -104,7 +109,7 @@ class OfSoil:
 
     def limit(self, own: float, had: bool = False) -> float:
         """As of `Widening`; what was given before is given no longer."""
-        return max(WIDENING.elsewhere, WIDENING.least * own)
+        return _largest(WIDENING.elsewhere, own)
 
     def reason(self, k: int, own: float, limit: float) -> Reason | None:
         """As of `Widening`."""
@@ -122,7 +127,7 @@ class OfEvenGround:
 
     def limit(self, own: float, had: bool = False) -> float:
         """As of `Widening`; what was given before is given no longer."""
-        return max(WIDENING.widest, WIDENING.least * own)
+        return _largest(WIDENING.widest, own)
 
     def reason(self, k: int, own: float, limit: float) -> Reason | None:
         """As of `Widening`."""
@@ -139,7 +144,7 @@ class OfLoad:
 
     def limit(self, own: float, had: bool = False) -> float:
         """As of `Widening`; what was given before is given no longer."""
-        return max(WIDENING.widest, WIDENING.least * own)
+        return _largest(WIDENING.widest, own)
 
     def reason(self, k: int, own: float, limit: float) -> Reason | None:
         """As of `Widening`."""

@@ -10,7 +10,7 @@ export async function order(path, kind) {
     const answer = await fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ kind }) });
     return (await answer.json()).text;
   } catch {
-    return "the page's own server does not answer";
+    return "the server of this page does not answer";
   }
 }
 

@@ -32,7 +32,7 @@ export class Implement {
     this.box.hidden = !now && !all.length && !load;
     this.load.hidden = !load;
     if (load) this.carries.textContent = load.source === "nobody"
-      ? t`carries: nobody has said what (full: ${tonnes(full)} t)`
+      ? t`load not known (full: ${tonnes(full)} t)`
       : t`carries ${tonnes(load.mass ?? 0)} t ± ${tonnes(1.96 * (load.sd ?? 0))} t`;
     const shown = JSON.stringify([now, all]);
     if (shown === this.shown) return; // a list that is open stays

@@ -146,8 +146,8 @@ const playing = ({ state, rate }) => (state === "playing" ? `${rate} ×` : word(
 function showProblems(status) {
   const lost = connected !== undefined && !reached();
   const gone = gaveWay
-    ? word("Too many pages are open, and another one has taken this one's place. Touch the page to go on here.")
-    : word("The page's own server does not answer: is `tilth monitor` running? Trying again.");
+    ? word("Too many pages are open, so this one was paused. Touch it to continue here.")
+    : word("The server of this page does not answer: is `tilth monitor` running? Trying again.");
   const lines = lost ? [gone] : [...(inLanguage(heard, "notes") ?? [])];
   if (live("status")) lines.push(...(status.problems ?? []).map(capital));
   const box = byId("problems");
@@ -165,7 +165,7 @@ function putLines(box, lines) {
 function showPreparing(status) {
   const busy = live("status") && status.preparing;
   const first = heard.first_drive && reached();
-  const text = first ? firstDrive(heard.first_drive) : busy ? preparing(status, age("status")) : reached() && heard.waiting ? word("Waiting for the daemon: it may just have been started.") : "";
+  const text = first ? firstDrive(heard.first_drive) : busy ? preparing(status, age("status")) : reached() && heard.waiting ? word("Waiting for the daemon: it may have just been started.") : "";
   put(byId("preparing"), text);
   byId("preparing").hidden = !text;
 }
@@ -213,7 +213,7 @@ function showKnown() {
   const open = PARAMETERS.filter((_, i) => shown.status[i] !== 1);
   const why = inLanguage(shown, "why")[PARAMETERS.indexOf(open[0])] || word("no estimate yet");
   const plain = !open.length ? word("All six are estimated.") : `${open.length < 6 ? `${open.map((one) => one.name).join(", ")}: ` : ""}${capital(why)}.`;
-  put(byId("advice"), shown.withdrawn.length ? word("The numbers are withdrawn: the reason stands above.") : inLanguage(shown, "advised") || plain);
+  put(byId("advice"), shown.withdrawn.length ? word("The numbers are withdrawn; the reason is above.") : inLanguage(shown, "advised") || plain);
   byId("known").replaceChildren(...PARAMETERS.map((one, i) => {
     const item = element("li");
     item.append(element("b", "", word(one.title)), ` ${one.name}: ${knowledge(shown.known[i])}`);

@@ -14,11 +14,11 @@ export async function noted(path, text) {
     const answer = await fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify({ text }) });
     return await answer.json();
   } catch {
-    return { noted: false, text: word("the page's own server does not answer") };
+    return { noted: false, text: word("the server of this page does not answer") };
   }
 }
 
-const told = (result) => (result.noted ? word("✔ It is in the log.") : t`✘ Not in the log: ${result.text}`);
+const told = (result) => (result.noted ? word("✔ Written to the log.") : t`✘ Not in the log: ${result.text}`);
 
 export function prepareMarks() {
   const answers = new Map(); // what was tapped -> what became of it

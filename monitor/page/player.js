@@ -16,7 +16,7 @@ export async function tell(order) {
     const answer = await fetch("/player", { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(order) });
     return (await answer.json()).text;
   } catch {
-    return word("the page's own server does not answer");
+    return word("the server of this page does not answer");
   }
 }
 
@@ -71,7 +71,7 @@ export class PlayerBar {
       const { run, places } = await (await fetch("/player/places")).json();
       if (run === this.run) this.places = places;
     } catch {
-      put(byId("play-told"), word("What one could jump to cannot be asked for."));
+      put(byId("play-told"), word("The list of places to jump to could not be loaded."));
     }
     this.#list();
   }

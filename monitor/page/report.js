@@ -12,7 +12,7 @@ async function ask() {
     const answer = await fetch("/report", { method: "POST", headers: { "content-type": "application/json" }, body: "{}" });
     return (await answer.json()).text;
   } catch {
-    return word("the page's own server does not answer");
+    return word("the server of this page does not answer");
   }
 }
 
@@ -37,7 +37,7 @@ export class RunReport {
     byId("report-make").disabled = this.asking || making || !alive;
     if (this.asking) return;
     if (this.refused && !making) this.#show(t`✘ No report: ${this.refused}`, "bad");
-    else if (making) this.#show(word("The report is being made; it may take some minutes. The recorder goes first."), "wait");
+    else if (making) this.#show(word("The report is being made; this may take some minutes. Recording has priority."), "wait");
     else if (report?.state === "failed") this.#show(t`✘ No report: ${report.text}`, "bad");
     else if (report?.state === "ready") this.#ready(report);
     else this.#show("");

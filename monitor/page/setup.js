@@ -91,7 +91,7 @@ function prepareFields() {
     if (unit) line.append(element("span", "", unit));
     if (how) {
       const known = select(`${field}.how`, HOW[how], how === "length" ? "tape" : "sheet");
-      known.setAttribute("aria-label", t`${title}: how it is known`);
+      known.setAttribute("aria-label", t`${title}: how you know it`);
       line.append(known);
     }
     fieldset.append(line, wrongOf(field));
@@ -156,12 +156,12 @@ function showBuses() {
     row.dataset.state = "bad";
     rows.push(row);
   }
-  if (!rows.length) rows.push(element("li", "", word("This computer has no CAN interface: plug the adapter in, then listen anew.")));
+  if (!rows.length) rows.push(element("li", "", word("This computer has no CAN interface: plug in the adapter, then listen again.")));
   byId("buses").replaceChildren(...rows);
   const { receivers, devices, frames, seconds, wheels, listens } = heard;
   const told = frames ? t`${frames} frames in ${seconds} s: ${devices} devices, ${receivers.length} of them receivers with a position; ${wheels.length} possible wheel angles.` : "";
   const without = heard.without.length ? t`${heard.without.length} receivers have no position yet: wait for the sky.` : "";
-  put(byId("heard-told"), [told, without, listens === false && frames ? word("Listening has ended.") : ""].join(" "));
+  put(byId("heard-told"), [told, without, listens === false && frames ? word("Listening has stopped.") : ""].join(" "));
 }
 
 function showReceivers() {
@@ -195,7 +195,7 @@ function card({ who, source, name, maker, per_s, corrected, bus }, i) {
     parts.append(one);
   }
   const where = element("div", "cards");
-  where.append(parts, wrongOf(`${who}.ahead`), labelled("How it is known", select(`${who}.how`, HOW.length, "tape")));
+  where.append(parts, wrongOf(`${who}.ahead`), labelled("How you know it", select(`${who}.how`, HOW.length, "tape")));
   where.append(labelled("It reports the point on the ground, not the antenna", select(`${who}.corrected`, [["no", "no, or not known"], ["yes", "yes: terrain compensation is on"]], corrected ? "yes" : "no")));
   if (!name) where.append(labelled("Maker", select(`${who}.maker`, MAKERS, "")));
   made.append(mount, wrongOf(`${who}.mount`), where);
@@ -298,7 +298,7 @@ async function check() {
   byId("save").hidden = byId("saved").hidden = byId("file").hidden = byId("passing").hidden = true;
   byId("checks").replaceChildren();
   byId("check").disabled = true;
-  put(told, word("Checking: it listens to the buses for some seconds …"));
+  put(told, word("Checking: listening to the buses for a few seconds …"));
   try {
     const { wrong, rare = [], checks = [], ok, text = "" } = await ask("/setup/check", sent());
     showWrong(wrong, rare);
@@ -310,13 +310,13 @@ async function check() {
       }));
     }
     byId("passing").hidden = !byId("passed").children.length;
-    put(told, word(wrong.length ? "Something is missing or cannot be:" : ok ? "✔ All is well." : "It can be saved, but something is wrong:"));
+    put(told, word(wrong.length ? "Something is missing or impossible:" : ok ? "✔ No problems found." : "You can save it, but something is wrong:"));
     put(byId("text"), text);
-    put(byId("save"), word(ok ? "Save" : "Save all the same"));
+    put(byId("save"), word(ok ? "Save" : "Save anyway"));
     byId("save").hidden = wrong.length > 0;
     byId("file").hidden = !text;
   } catch {
-    put(told, word("No answer: once more, please."));
+    put(told, word("No answer; please try again."));
   }
   byId("check").disabled = false;
 }
@@ -328,8 +328,8 @@ async function save() {
     showWrong(wrong, rare);
     if (saved) {
       const rows = [t`✔ Saved: ${saved}`];
-      if (before) rows.push(t`The file before is kept: ${before}`);
-      rows.push(word(recording ? "A run is being recorded, and goes on. The new file is used when that has ended." : "The recorder takes it when it starts; as a service it starts by itself within a minute."));
+      if (before) rows.push(t`The previous file is kept: ${before}`);
+      rows.push(word(recording ? "The run being recorded continues. The new file is used once it has ended." : "The recorder uses it when it starts; as a service it starts by itself within a minute."));
       const link = element("a", "", word("Open the live page"));
       link.href = "/";
       byId("saved").replaceChildren(...rows.map((text) => element("p", "", text)), link);
@@ -337,7 +337,7 @@ async function save() {
     byId("saved").hidden = !saved;
     byId("save").hidden = Boolean(saved);
   } catch {
-    put(byId("checking"), word("No answer: once more, please."));
+    put(byId("checking"), word("No answer; please try again."));
   }
   byId("save").disabled = false;
 }

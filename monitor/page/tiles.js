@@ -44,7 +44,7 @@ export class Tiles {
     const floating = row?.state === "alive" && one.mount && row.fix && !GOOD_FIXES.has(row.fix);
     one.tile.dataset.state = row ? (floating ? "warn" : STATES[row.state] ?? "warn") : "unknown";
     put(one.state, row ? word(WORDS[row.state] ?? spaced(row.state)) : none);
-    put(one.fix, row && one.mount ? (row.fix ? spaced(row.fix).replace("rtk", "RTK").replace("gnss", "GNSS") : word("no fix told")) : "");
+    put(one.fix, row && one.mount ? (row.fix ? spaced(row.fix).replace("rtk", "RTK").replace("gnss", "GNSS") : word("no fix reported")) : "");
     const parts = [];
     if (known(row?.per_s)) parts.push(`${row.per_s.toFixed(row.per_s < 9.95 ? 1 : 0)}/s`);
     if (known(row?.age_s)) parts.push(t`${time(row.age_s)} old`);

@@ -59,14 +59,14 @@ export function flagged(flag) {
 export function firstDrive({ preparing: doing, ready_in_s, recording }) {
   const left = known(ready_in_s) ? t`, about ${time(Math.round(ready_in_s))} left` : "";
   const now = doing ? ` (${doing}${left})` : "";
-  return t`This is a recorded simulated drive, while this computer gets ready${now}.` + (recording ? ` ${word("Your own demo is recorded already.")}` : "");
+  return t`This is a recorded simulated drive, shown while this computer gets ready${now}.` + (recording ? ` ${word("Your own demo is already being recorded.")}` : "");
 }
 
 // What the daemon still makes ready. `age_s`: of what it said about that.
 export function preparing({ preparing, ready_in_s, recording }, age_s) {
   const left = known(ready_in_s) ? ready_in_s - (age_s ?? 0) : undefined;
   const when = !known(left) ? "" : left < 1 ? word(", ready at any moment") : t`, about ${time(Math.round(left))} left`;
-  return `${capital(preparing)}${when}. ${word(recording ? "Frames are recorded meanwhile; results follow." : "Results follow.")}`;
+  return `${capital(preparing)}${when}. ${word(recording ? "Frames are already being recorded; results will follow." : "Results will follow.")}`;
 }
 
 // Of parameter i: what stands above its trace. `old`: how old the estimate as a whole is, if it is too old.
@@ -82,7 +82,7 @@ export function told({ parameters }, shown, i, old, age_s) {
     state: stale ? "warn" : STATUS_STATES[status],
     why: [
       stale ? t`no estimate for ${time(age_s)}` : said(shown, "why")[i],
-      known(age) ? t`data last told of it ${time(age + (age_s ?? 0))} ago` : "",
+      known(age) ? t`last informed by data ${time(age + (age_s ?? 0))} ago` : "",
     ].filter(Boolean).join("; "),
   };
 }

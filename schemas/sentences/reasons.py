@@ -61,7 +61,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.TWO_PLACES: "two sets of tyres explain this driving about as well: steer in other ways, too",
     Code.OUTPUTS_NOT_MEASURED: "yaw rates or headings of both bodies are not measured",
     Code.NO_STEADY_TURN: "no steady turn in this run",
-    Code.END_OF_SEARCH: "a parameter went to the end of where it is sought",
+    Code.END_OF_SEARCH: "a parameter reached the limit of its search range",
     Code.FIT_LATE: "a fit was ready {n[0]:.1f} s late, since this computer is busy; it is used from here",
     Code.FIT_DROPPED: "a fit was not ready in time and was dropped",
     Code.FIT_GIVEN_UP: "a fit was not ready {n[0]:.0f} s after it was due and is given up",
@@ -72,7 +72,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.NO_WINDOW_YET: "no window has been fitted yet",
     Code.WIDE: "the data leave {n[0]:share}: more steering is needed",
     Code.OF_THE_MASS: (
-        "the machine file tells {of[0]} to {n[0]:share} only: weigh it; per kilogram the stiffness is known,"
+        "the machine file gives {of[0]} only to {n[0]:share}: weigh it; per kilogram the stiffness is known,"
         " {n[1]:share}"
     ),
     Code.NOT_LEARNED_FOR: "nothing was learned for {n[0]:.0f} s",
@@ -87,11 +87,10 @@ SENTENCES: Final[Mapping[Code, str]] = {
     ),
     Code.NO_RELAXATION: "steady driving carries no relaxation-length information",
     Code.ON_UNIDENTIFIABLE: (
-        "stands on stiffnesses that two outputs do not tell apart; with a free gain its interval is too "
-        "narrow"
+        "rests on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow"
     ),
     Code.NOT_CONFIRMED: (
-        "driving has not shown yet that the machine file is right{keys}: steer to and fro at working speed"
+        "driving has not yet shown that the machine file is right{keys}: steer to and fro at working speed"
         "{seconds}"
     ),
     Code.NOT_DRIVEN: "nothing has been driven yet",
@@ -104,8 +103,8 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "to and fro by 3° or more at working speed, for {n[1]:.0f} s"
     ),
     Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
-    Code.OTHER_SOIL: "soil may be otherwise here than where this is from: {n[0]:share}",
-    Code.NOT_KNOWN_HERE: "soil may be otherwise here than where it was learned, which leaves {n[0]:share}",
+    Code.OTHER_SOIL: "the soil here may differ from where this was learned: {n[0]:share}",
+    Code.NOT_KNOWN_HERE: "the soil here may differ from where it was learned, which leaves {n[0]:share}",
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: (
@@ -114,7 +113,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.WINDOW_OLD: "{of[0]}: the last piece that was fitted is {n[0]:.0f} s old",
     Code.NO_WINDOW: "{of[0]}: the piece that is fitted next has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
-    Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is of where the rig is",
+    Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is for where the rig is",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
     Code.ROWS_KNOW_MORE: "{of[0]}: it knows the numbers to {n[0]:share} on average, {of[1]} to {n[1]:share}",
     Code.ROWS_ALONE: "{of[0]}: no method that learns in turns has numbers",
@@ -123,10 +122,10 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} over {n[1]:.0f} parameters, of which "
         "chance allows {n[2]:.0f}"
     ),
-    Code.SAVED_BY_ANOTHER_VERSION: "it is of another version",
-    Code.SAVED_NOT_FINITE: "it holds what is no number",
-    Code.SAVED_WITHOUT_COVARIANCE: "its covariance is none",
-    Code.SAVED_INCOMPLETE: "a part of it is missing",
+    Code.SAVED_BY_ANOTHER_VERSION: "it is from another version",
+    Code.SAVED_NOT_FINITE: "it holds a value that is not a number",
+    Code.SAVED_WITHOUT_COVARIANCE: "its covariance is not valid",
+    Code.SAVED_INCOMPLETE: "part of it is missing",
     Code.ESTIMATORS_FAILED: ("the estimators failed ({of[0]}: {of[1]}) and start again; frames are logged"),
 }
 METHODS: Final[Mapping[str, Mapping[str, str]]] = {

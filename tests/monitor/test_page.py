@@ -125,7 +125,7 @@ def expect_no_daemon(page: Page, request: pytest.FixtureRequest) -> None:
     """Nothing is heard yet: first it waits, then it says so."""
     expect_run(page, "WAITING", "wait")
     expect(page.locator("#problems")).to_be_hidden()
-    expect(page.locator("#preparing")).to_have_text("Waiting for the daemon: it may just have been started.")
+    expect(page.locator("#preparing")).to_have_text("Waiting for the daemon: it may have just been started.")
     expect_run(page, "NO DAEMON", "bad")
     expect(page.locator("#problems")).to_contain_text("No daemon is heard")
     picture(request, page, "page-no-daemon")
@@ -137,7 +137,7 @@ def expect_a_lost_receiver(page: Page, rig: FieldRig, request: pytest.FixtureReq
     lost = state_of(page, "Implement rear")
     expect(lost).to_have_attribute("data-state", "bad", timeout=SOON_MS)
     expect(lost).to_contain_text("LOST")
-    expect(page.locator("#problems")).to_contain_text("no longer heard; check its power and plug")
+    expect(page.locator("#problems")).to_contain_text("no longer heard; check power and plug")
     expect(page.locator("#events")).to_contain_text("implement_rear", timeout=SOON_MS)
     picture(request, page, "page-receiver-lost")
     rig.unplug()
@@ -150,7 +150,7 @@ def expect_a_mark(page: Page) -> None:
     page.keyboard.press("m")
     page.keyboard.type("wet spot begins")
     page.keyboard.press("Enter")
-    expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.", timeout=SOON_MS)
+    expect(page.locator("#mark-told")).to_have_text("✔ Written to the log.", timeout=SOON_MS)
     expect(page.locator("#events")).to_contain_text("wet spot begins", timeout=SOON_MS)
     page.keyboard.press("Escape")
 
@@ -204,7 +204,7 @@ def test_a_mark_by_keyboard_and_by_touch(browser: Browser, stage: tuple[Stage, M
             page.keyboard.press("m")
             page.keyboard.type(f"wet spot {size}")
             page.keyboard.press("Enter")
-        expect(page.locator("#mark-told")).to_have_text("✔ It is in the log.")
+        expect(page.locator("#mark-told")).to_have_text("✔ Written to the log.")
         page.keyboard.press("Escape")
         expect(page.locator("dialog")).to_be_hidden()
         expect(page.locator("#events")).to_contain_text(f"wet spot {size}")
@@ -222,7 +222,7 @@ def test_one_tap_is_a_mark_and_a_refusal_says_why(browser: Browser) -> None:
         result = page.locator("#marks-told p")
         for text in ("soft", "wet", "stone", "turn"):
             page.get_by_role("button", name=f"Mark: {text}").tap()
-            expect(result.filter(has_text=f"{text}: ✔ It is in the log.")).to_be_in_viewport()
+            expect(result.filter(has_text=f"{text}: ✔ Written to the log.")).to_be_in_viewport()
             expect(page.locator("#events li", has_text=f"mark {text}")).to_have_count(1)
         expect(result).to_have_count(0, timeout=SOON_MS)  # what is in the log need not be said for ever
         stage.order(refusal="the disk is full")
@@ -232,7 +232,9 @@ def test_one_tap_is_a_mark_and_a_refusal_says_why(browser: Browser) -> None:
         stage.order(refusal="")
         until(lambda: monitor.mark("once more")["noted"])
         page.get_by_role("button", name="Mark: soft").tap()
-        expect(result).to_have_text(["wet: ✘ Not in the log: the disk is full", "soft: ✔ It is in the log."])
+        expect(result).to_have_text(
+            ["wet: ✘ Not in the log: the disk is full", "soft: ✔ Written to the log."]
+        )
         page.get_by_role("button", name="Mark: wet").tap()
         expect(result.filter(has_text="✘")).to_have_count(0)
         monitor.process.send_signal(signal.SIGSTOP)
@@ -240,7 +242,7 @@ def test_one_tap_is_a_mark_and_a_refusal_says_why(browser: Browser) -> None:
         page.get_by_role("button", name="Mark: turn").tap()
         expect(result.filter(has_text="turn")).to_have_text("turn: asking the daemon …")
         monitor.process.send_signal(signal.SIGCONT)
-        expect(result.filter(has_text="turn")).to_have_text("turn: ✔ It is in the log.", timeout=SOON_MS)
+        expect(result.filter(has_text="turn")).to_have_text("turn: ✔ Written to the log.", timeout=SOON_MS)
         page.context.close()
 
 
@@ -340,12 +342,12 @@ def test_a_daemon_that_prepares_is_waited_for_in_words(
     expect(output).to_be_hidden()
     stage[0].order(preparing="compiling", ready_in_s=40.0)
     expect(output).to_have_text(
-        "Compiling, about 40 s left. Frames are recorded meanwhile; results follow.", timeout=SOON_MS
+        "Compiling, about 40 s left. Frames are already being recorded; results will follow.", timeout=SOON_MS
     )
     expect_run(page, "● RECORDING", "good")
     picture(request, page, "page-preparing")
     stage[0].order(ready_in_s=None, recording=False)
-    expect(output).to_have_text("Compiling. Results follow.", timeout=SOON_MS)
+    expect(output).to_have_text("Compiling. Results will follow.", timeout=SOON_MS)
     expect_run(page, "NOT RECORDING", "bad")
     stage[0].order(preparing="", recording=True)
     expect(output).to_be_hidden(timeout=SOON_MS)

@@ -160,9 +160,7 @@ def status(t_ns: int, uptime_s: float, orders: dict[str, Any]) -> pb.Status:
     result.wheel_angle.state, result.wheel_angle.age_s, result.wheel_angle.per_s = "alive", 0.01, 100.0
     result.problems.extend([orders["problem"]] if orders["problem"] else [])
     if orders["lost"]:
-        result.problems.append(
-            f"{orders['lost'].replace('_', ' ')}: no longer heard; check its power and plug"
-        )
+        result.problems.append(f"{orders['lost'].replace('_', ' ')}: no longer heard; check power and plug")
     return result
 
 
