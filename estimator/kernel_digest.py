@@ -8,6 +8,7 @@ own, is compiled anew by each of them.
 """
 
 import dis
+import functools
 import hashlib
 import typing
 from collections.abc import Iterable
@@ -61,9 +62,15 @@ def _codes(code: CodeType) -> list[CodeType]:
 
 def _globals(function: FunctionType) -> dict[str, Any]:
     """Name -> value of each global that a function reads; builtins are left out."""
-    steps = [step for code in _codes(function.__code__) for step in dis.get_instructions(code)]
-    names = sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"})
+    names = _global_names(function.__code__)
     return {name: function.__globals__[name] for name in names if name in function.__globals__}
+
+
+@functools.cache
+def _global_names(code: CodeType) -> list[str]:
+    """Of what a code reads of its module or of Python, in order."""
+    steps = (step for one in _codes(code) for step in dis.get_instructions(one))
+    return sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"})
 
 
 def _reading(function: FunctionType, known: Known) -> str:
