@@ -2,8 +2,9 @@
 
 schemas/proto/tilth.proto → tilth_pb2.py and .pyi; schemas/machine.py → machine.schema.json; uv.lock →
 deploy/constraints.txt, the versions that a recorder is installed with; deploy/motion_equations.py →
-estimator/models/generated/rolling_kernels.py; deploy/observation_equations.py → observation_kernels.py there;
-schemas/sentences/ → docs/codes.md; schemas/proto/tilth.proto's comments → docs/wire.md.
+estimator/models/generated/rolling_kernels.py; deploy/observation_equations.py →
+estimator/filters/generated/observation_kernels.py; schemas/sentences/ → docs/codes.md;
+schemas/proto/tilth.proto's comments → docs/wire.md.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """What the filters expect of each sensor, in symbols, and the kernels that are written from it.
 
-`python -m tilth.deploy.generate` writes estimator/models/generated/observation_kernels.py: each prediction
+`python -m tilth.deploy.generate` writes estimator/filters/generated/observation_kernels.py: each prediction
 with its exact derivatives by states and unknowns. X are the states (filters/states.py), Q the unknowns
 (filters/unknowns.py), K what is known. What both bodies or all receivers have goes by its name without the
 body, too: that of the sensor's own. For development only.
@@ -15,7 +15,7 @@ from tilth.deploy.kernel_text import kernel, value_lines
 from tilth.estimator.filters.states import N_STATES, STATES
 from tilth.estimator.filters.unknowns import AT, AT_ROLL_ZERO, NAMES, UNKNOWNS, ActsAs
 
-TARGET: Final = "estimator/models/generated/observation_kernels.py"
+TARGET: Final = "estimator/filters/generated/observation_kernels.py"
 UNKNOWN: Final = "q_"
 
 KNOWN: Final = {
@@ -169,12 +169,13 @@ Change deploy/observation_equations.py instead.
 """
 
 from math import cos, exp, sin
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.sensors.observation import Observation
 
 Array = NDArray[np.float64]
 '''
@@ -200,7 +201,7 @@ def slopes_of(expression: Any, first: int) -> Iterator[tuple[str, Any]]:
 
 def _prediction(name: str, expression: Any) -> str:
     outputs = {"value": expression, **dict(slopes_of(expression, N_STATES))}
-    parameters = "x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array"
+    parameters = "x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array"
     lines = [*value_lines(GIVEN, outputs), "    return float(value)"]
     return kernel(name, VALUE, parameters, lines, "inner_kernel", "float")
 

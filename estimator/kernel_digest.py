@@ -1,4 +1,4 @@
-"""All that a kernel reads, and a digest of it, which is part of the name of the stored code.
+"""All that a kernel reads, as text: its digest is part of the name of the stored code.
 
 numba compiles the values of globals into the code. When it looks for stored code, it only checks whether the
 file that holds the function has changed. So all that a kernel reads must be part of the name: constants, also
@@ -8,53 +8,24 @@ own, is compiled anew by each of them.
 """
 
 import dis
+import functools
 import hashlib
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from enum import Enum
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 OURS: Final = "tilth."
 """Of packages whose functions are compiled with a kernel; of others the versions are part of the digest."""
-INNER: Final = "inner"
-INLINE: Final = "inline"
 
+OPTION: Final = "kernel_options"
+"""Attribute of a function: what numba is told of it."""
 
-class Reading(NamedTuple):
-    """What one function does and reads."""
-
-    text: str  # its code and all that it reads, without the functions that it calls
-    calls: tuple[FunctionType, ...]  # those functions
-    types: frozenset[type]  # NamedTuples in its annotations
-
-
-class KernelFunction:
-    """Base class of a kernel: it holds the function. It is in this file, so that a digest needs no
-    compiler."""
-
-    __slots__ = ("function",)
-
-    def __init__(self, function: FunctionType) -> None:
-        if function.__closure__:
-            names = ", ".join(function.__code__.co_freevars)
-            raise TypeError(
-                f"the kernel {function.__qualname__} uses {names} of the function around it: make it an "
-                "argument or a constant of the module"
-            )
-        self.function = function
-
-
-def mark(function: Callable[..., Any], way: str) -> None:
-    """Remember how a kernel is compiled: INNER or INLINE."""
-    function.__dict__["compiled_as"] = way
-
-
-def is_marked(function: FunctionType, way: str) -> bool:
-    """Whether it is compiled in that way."""
-    return bool(function.__dict__.get("compiled_as", "") == way)
+Known = dict[FunctionType, str]
+"""Function -> what it does and reads, of those that were looked at so far; what is found is added to it."""
 
 
 def called(function: FunctionType) -> dict[str, FunctionType]:
@@ -63,47 +34,24 @@ def called(function: FunctionType) -> dict[str, FunctionType]:
     return {name: inner for name, inner in read.items() if inner is not None}
 
 
-def readings(function: FunctionType) -> dict[FunctionType, Reading]:
-    """The functions that are compiled together with this one, itself included, and what each does and
-    reads."""
-    found: dict[FunctionType, Reading] = {}
-    queue = [function]
-    while queue:
-        item = queue.pop()
-        if item not in found:
-            found[item] = _reading(item)
-            queue += found[item].calls
-    return found
+def digest(function: FunctionType, known: Known, versions: str = "") -> str:
+    """Digest of a function and of all that it calls, 16 hexadecimal digits. versions: of what compiles it."""
+    return hashlib.sha256(f"{versions}\n{_reading(function, known)}".encode()).hexdigest()[:16]
 
 
-def digest(function: FunctionType, known: Mapping[FunctionType, Reading], versions: str = "") -> str:
-    """Digest of one function and of all that it calls, 16 hexadecimal digits.
-
-    known: readings of at least these functions. versions: of the packages that compile it.
-    """
-    found = {function: known[function].text}
-    queue = [function]
-    while queue:
-        for inner in known[queue.pop()].calls:
-            if inner not in found:
-                found[inner] = known[inner].text
-                queue.append(inner)
-    function_text = found.pop(function)
-    text = repr((versions, function_text, sorted(found.values())))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def check_arguments(function: FunctionType, known: Iterable[Reading], args: tuple[Any, ...]) -> None:
+def check_arguments(function: FunctionType, args: tuple[Any, ...], known: Known) -> None:
     """Raise TypeError where an argument holds a NamedTuple that no annotation of what is compiled together
     names: the order of its fields would not be part of the digest."""
-    missing = _types_of(args).difference(*(reading.types for reading in known))
+    _reading(function, known)
+    named = "\n".join(known.values())
+    missing = {kind.__qualname__ for kind in _types_of(args) if _text(kind, known) not in named}
     if missing:
-        names = ", ".join(sorted(kind.__qualname__ for kind in missing))
+        names = ", ".join(sorted(missing))
         raise TypeError(f"the kernel {function.__qualname__} is given {names}: name it in an annotation")
 
 
 def _project_function(value: Any) -> FunctionType | None:
-    inner = value.function if isinstance(value, KernelFunction) else value
+    inner = getattr(value, "function", value)  # a Kernel's
     return inner if isinstance(inner, FunctionType) and inner.__module__.startswith(OURS) else None
 
 
@@ -114,73 +62,75 @@ def _codes(code: CodeType) -> list[CodeType]:
 
 def _globals(function: FunctionType) -> dict[str, Any]:
     """Name -> value of each global that a function reads; builtins are left out."""
-    steps = [step for code in _codes(function.__code__) for step in dis.get_instructions(code)]
-    names = sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"})
+    names = _global_names(function.__code__)
     return {name: function.__globals__[name] for name in names if name in function.__globals__}
 
 
-def _reading(function: FunctionType) -> Reading:
-    read, attributes = _globals(function), set[str]()
-    for code in _codes(function.__code__):
-        attributes.update(code.co_names)
-    for name, value in list(read.items()):  # what is read of another module: at most what is named here
-        if isinstance(value, ModuleType) and value.__name__.startswith(OURS):
-            read |= {f"{name}.{one}": getattr(value, one) for one in attributes if hasattr(value, one)}
-    types = _annotated(function)
-    defaults = (function.__defaults__, *(function.__kwdefaults__ or {}).items())
-    text = repr((
-        function.__module__, function.__qualname__, function.__dict__.get("compiled_as", ""),
-        _code_text(function.__code__), _text(defaults),
-        [(name, _text(read[name])) for name in sorted(read)], [_text(kind) for kind in types],
-    ))  # fmt: skip
-    return Reading(text, tuple(called(function).values()), frozenset(types))
+@functools.cache
+def _global_names(code: CodeType) -> list[str]:
+    """Of what a code reads of its module or of Python, in order."""
+    steps = (step for one in _codes(code) for step in dis.get_instructions(one))
+    return sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"})
 
 
-def _code_text(code: CodeType) -> str:
+def _reading(function: FunctionType, known: Known) -> str:
+    """What it does and reads; of a function that it calls, the digest."""
+    if function not in known:
+        codes, read = _codes(function.__code__), _globals(function)
+        attributes = sorted({name for code in codes for name in code.co_names})
+        for name, value in list(read.items()):  # what is read of another module: at most what is named here
+            if isinstance(value, ModuleType) and value.__name__.startswith(OURS):
+                read |= {f"{name}.{one}": getattr(value, one) for one in attributes if hasattr(value, one)}
+        known[function] = "\n".join((
+            f"{function.__module__} {function.__qualname__} {function.__dict__.get(OPTION)}",
+            *(_code_text(code, known) for code in codes),
+            _texts((function.__defaults__, *(function.__kwdefaults__ or {}).items()), known),
+            *(f"{name}: {_text(kind, known)}" for name, kind in typing.get_type_hints(function).items()),
+            *(f"{name} = {_text(value, known)}" for name, value in read.items()),
+        ))  # fmt: skip
+    return known[function]
+
+
+def _code_text(code: CodeType, known: Known) -> str:
     """The code without line numbers: a new comment changes no digest. Without its flags: numba takes one away
-    in a process that is profiled."""
-    constants = [_code_text(one) if isinstance(one, CodeType) else _text(one) for one in code.co_consts]
+    in a process that is profiled. Without the codes in it, which have texts of their own."""
+    constants = [one for one in code.co_consts if not isinstance(one, CodeType)]
     names = (code.co_names, code.co_varnames, code.co_cellvars, code.co_freevars)
     counts = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount)
-    return repr((code.co_code, code.co_exceptiontable, names, counts, constants))
+    return f"{code.co_code!r} {code.co_exceptiontable!r} {names} {counts} {_texts(constants, known)}"
 
 
-def _text(value: Any) -> str:
+def _texts(values: Iterable[Any], known: Known) -> str:
+    return f"({', '.join(_text(one, known) for one in values)})"
+
+
+def _text(value: Any, known: Known) -> str:
     """A value as text; equal texts compile to equal code."""
     if isinstance(value, np.ndarray):
         return f"array {value.dtype.descr} {value.shape} {value.strides} {value.tobytes()!r}"
-    if isinstance(value, tuple):
-        return f"{_text(type(value))} {[_text(item) for item in value]}"
     if isinstance(value, Enum):
-        return f"{_text(type(value))} {value.name}"
+        return f"{_text(type(value), known)} {value.name}"
+    if isinstance(value, tuple):
+        return f"{_text(type(value), known)} {_texts(value, known)}"
     if isinstance(value, ModuleType):
         return f"module {value.__name__}"
-    named: Any = _project_function(value) or value
-    if not hasattr(named, "__qualname__"):
+    if function := _project_function(value):
+        return f"function {digest(function, known)}"
+    if inner := typing.get_args(value):  # of an annotation such as tuple[Rig, ...]
+        return f"{typing.get_origin(value)} {_texts(inner, known)}"
+    if not hasattr(value, "__qualname__"):
         return repr(value)
-    text = f"{named.__module__}.{named.__qualname__}"
-    if _is_named_tuple(named):
-        return f"{text} {named._fields} {[(key, _text(one)) for key, one in named._field_defaults.items()]}"
-    if isinstance(named, type) and issubclass(named, Enum):
-        text += f" {[(key, _text(one.value)) for key, one in named.__members__.items()]}"
+    text = f"{value.__module__}.{value.__qualname__}"
+    if _is_named_tuple(value):
+        kinds = _texts(typing.get_type_hints(value).values(), known)
+        text += f" {value._fields} {kinds} {_texts(value._field_defaults.items(), known)}"
+    if isinstance(value, type) and issubclass(value, Enum):
+        text += f" {_texts(((key, one.value) for key, one in value.__members__.items()), known)}"
     return text
 
 
 def _is_named_tuple(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
-
-
-def _annotated(function: FunctionType) -> list[type]:
-    """The NamedTuple types in the annotations of a function, with those of their fields."""
-    found: list[type] = []
-    queue: list[Any] = list(typing.get_type_hints(function).values())
-    while queue:
-        kind = queue.pop(0)
-        queue += typing.get_args(kind)
-        if _is_named_tuple(kind) and kind not in found:
-            found.append(kind)
-            queue += typing.get_type_hints(kind).values()
-    return found
 
 
 def _types_of(value: Any) -> set[type]:

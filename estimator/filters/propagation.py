@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inline_kernel, inner_kernel, kernel
 from tilth.estimator.driving import DRIVING
+from tilth.estimator.filters.generated.observation_kernels import WHEEL_ANGLE_UNKNOWNS
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.wheel_angle import DriveInputs, drive_at, set_wheel_slopes
 from tilth.estimator.filters.states import (
@@ -61,7 +62,6 @@ from tilth.estimator.filters.unknowns import (
     apply,
 )
 from tilth.estimator.models import rolling
-from tilth.estimator.models.generated.observation_kernels import WHEEL_ANGLE_UNKNOWNS
 from tilth.estimator.models.rolling import (
     BY_INPUT,
     N_INPUTS,

@@ -2,8 +2,8 @@
 
 from typing import Final
 
+from tilth.estimator.filters.generated.observation_kernels import heading
 from tilth.estimator.filters.unknowns import AT_S_POSITION
-from tilth.estimator.models.generated.observation_kernels import heading
 
 NOISE: Final = AT_S_POSITION  # logarithm of the factor on the stated sd
 

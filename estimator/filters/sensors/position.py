@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.generated.observation_kernels import east_i, east_t, north_i, north_t
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.unknowns import AT_S_POSITION
-from tilth.estimator.models.generated.observation_kernels import east_i, east_t, north_i, north_t
 from tilth.estimator.record.record import NORTH
 
 Array = NDArray[np.float64]

@@ -2,8 +2,8 @@
 
 from typing import Final
 
+from tilth.estimator.filters.generated.observation_kernels import measured_roll
 from tilth.estimator.filters.unknowns import AT_S_ROLL
-from tilth.estimator.models.generated.observation_kernels import measured_roll
 
 NOISE: Final = AT_S_ROLL  # logarithm of the factor on the stated sd
 

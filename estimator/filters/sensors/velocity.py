@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.generated.observation_kernels import velocity_i, velocity_t
 from tilth.estimator.filters.rig_setup import RigSetup
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.unknowns import AT_S_VELOCITY
-from tilth.estimator.models.generated.observation_kernels import velocity_i, velocity_t
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.generated.observation_kernels import wheel_angle, wheel_angle_slopes
 from tilth.estimator.filters.states import DT, X_ALPHA
 from tilth.estimator.filters.transition import Transition
 from tilth.estimator.filters.unknowns import AT_LATENCY, AT_SIGMA_F
-from tilth.estimator.models.generated.observation_kernels import wheel_angle, wheel_angle_slopes
 from tilth.estimator.record.record import WHEEL_ANGLE, U
 
 Array = NDArray[np.float64]

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.generated.observation_kernels import yaw_rate
 from tilth.estimator.filters.sensors.observation import Observation
 from tilth.estimator.filters.states import DT, X_R
 from tilth.estimator.filters.unknowns import AT_S_YAW_RATE, AT_YAW_RATE_DELAY
-from tilth.estimator.models.generated.observation_kernels import yaw_rate
 
 Array = NDArray[np.float64]
 

@@ -89,7 +89,7 @@ def changed_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
         env=os.environ | {"PYTHONPATH": str(path)}, capture_output=True, check=True, text=True,
     )  # fmt: skip
     assert re.findall(r"^(\S+): written$", made.stdout, re.M) == [
-        "estimator/models/generated/observation_kernels.py"
+        "estimator/filters/generated/observation_kernels.py"
     ]
     return path
 

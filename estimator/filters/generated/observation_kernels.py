@@ -4,12 +4,13 @@ Change deploy/observation_equations.py instead.
 """
 
 from math import cos, exp, sin
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.compiled import inner_kernel
+from tilth.estimator.filters.rig_setup import RigSetup
+from tilth.estimator.filters.sensors.observation import Observation
 
 Array = NDArray[np.float64]
 
@@ -17,7 +18,7 @@ WHEEL_ANGLE_UNKNOWNS = (6, 7, 8)  # that act on the true wheel angle
 
 
 @inner_kernel
-def yaw_rate(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def yaw_rate(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     c0 = 1 * body
     r = x[1 + c0]
@@ -31,7 +32,7 @@ def yaw_rate(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array)
 
 
 @inner_kernel
-def heading(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def heading(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     psi = x[10 + 1 * body]
     value = psi
@@ -40,7 +41,7 @@ def heading(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) 
 
 
 @inner_kernel
-def measured_roll(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def measured_roll(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     c0 = 1 * body
     phi = x[6 + c0]
@@ -63,7 +64,7 @@ def measured_roll(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: A
 
 
 @inner_kernel
-def north_t(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def north_t(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     phi_t = x[6]
     psi_t = x[10]
@@ -98,7 +99,7 @@ def north_t(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) 
 
 
 @inner_kernel
-def north_i(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def north_i(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     phi_t = x[6]
     phi_i = x[7]
@@ -163,7 +164,7 @@ def north_i(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) 
 
 
 @inner_kernel
-def east_t(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def east_t(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     phi_t = x[6]
     psi_t = x[10]
@@ -198,7 +199,7 @@ def east_t(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -
 
 
 @inner_kernel
-def east_i(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def east_i(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     phi_t = x[6]
     phi_i = x[7]
@@ -263,7 +264,7 @@ def east_i(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -
 
 
 @inner_kernel
-def velocity_t(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def velocity_t(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     v = x[0]
     r_t = x[1]
@@ -305,7 +306,7 @@ def velocity_t(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Arra
 
 
 @inner_kernel
-def velocity_i(x: Array, q: Array, body: int, obs: Any, setup: Any, slopes: Array) -> float:
+def velocity_i(x: Array, q: Array, body: int, obs: Observation, setup: RigSetup, slopes: Array) -> float:
     """Its value; fills the slopes (30 + n,) by states and unknowns that are not zero."""
     v = x[0]
     r_t = x[1]
