@@ -2,7 +2,7 @@
 
 import ast
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -77,12 +77,11 @@ def _modules() -> list[Path]:
     return [path for folder in folders for path in folder.rglob("*.py") if "_pb2" not in path.name]
 
 
-@cache  # three checks read each source
-def _nodes(source: str) -> tuple[ast.AST, ...]:
-    return tuple(ast.walk(ast.parse(source)))
+def _nodes(source: str) -> Iterator[ast.AST]:
+    return ast.walk(ast.parse(source))
 
 
-@cache
+@cache  # two checks ask for them
 def _imports(source: str) -> tuple[str, ...]:
     found: list[str] = []
     for node in _nodes(source):
