@@ -101,13 +101,13 @@ def prepare(machine: Machine, progress: Progress) -> None:
     class Compilations(event.Listener):
         """numba's; loading from disk is none."""
 
-        of_kernels: list[tuple[Kernel[..., Any], set[FunctionType]]] = []  # collected once: it takes a while
+        of_kernels: tuple[tuple[Kernel[..., Any], set[FunctionType]], ...] = ()  # once: it takes a while
         uncompiled: set[FunctionType] | None = None  # the second kernel to call one finds it kept
         work, functions = 0.0, 0
 
         def on_start(self, event: Any) -> None:
             if self.uncompiled is None:
-                self.of_kernels = [(kernel, set(kernel.functions())) for kernel in kernels_of(machine)]
+                self.of_kernels = tuple((one, set(one.functions())) for one in kernels_of(machine))
                 self.uncompiled = self.of_waiting()
                 self.work, self.functions = _work(self.uncompiled), len(self.uncompiled)
                 progress(KernelsDone(0, self.functions, 0.0))

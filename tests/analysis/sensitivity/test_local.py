@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from paths import SHARED
-from sampled import sampled
 from scipy.integrate import solve_ivp
 
 from tilth.analysis.sensitivity import local, outputs
@@ -58,7 +57,8 @@ def test_the_derivative_is_the_limit_of_the_step(model: Model, monkeypatch: pyte
 @pytest.mark.parametrize(
     ("model", "steering"),
     [
-        *sampled(((model, outputs.STEP) for model in MODELS), [(model, outputs.STEP) for model in LINEAR]),
+        *((model, outputs.STEP) for model in LINEAR),
+        *(pytest.param(model, outputs.STEP, marks=pytest.mark.long) for model in MODELS[len(LINEAR) :]),
         *((RELAXATION, name) for name in STEERINGS[1:]),
     ],
     ids=lambda one: getattr(one, "name", one),
