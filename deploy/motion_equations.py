@@ -6,6 +6,7 @@ derivatives by states, inputs and parameters, with common subexpressions found o
 """
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from typing import Any, Final
 
 import sympy as sp
@@ -253,6 +254,7 @@ SLOPE: Final = "Fill right (6, n), derivatives of right - M found by states and 
 PARAMETER_SLOPE: Final = "Fill right (6, n), derivatives of right - M found by PARAMETERS, and slip (3, n)."
 
 
+@cache  # seconds of algebra
 def source() -> str:
     """The text of rolling_kernels.py."""
     M, right = dynamics()

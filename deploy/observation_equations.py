@@ -7,6 +7,7 @@ body, too: that of the sensor's own. For development only.
 """
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, Final
 
 import sympy as sp
@@ -206,6 +207,7 @@ def _prediction(name: str, expression: Any) -> str:
     return kernel(name, VALUE, parameters, lines, "inner_kernel", "float")
 
 
+@cache  # seconds of algebra
 def source() -> str:
     """The text of observation_kernels.py."""
     wheel, parameters = wheel_angle(), "reading: float, reading_rate: float, q: Array"

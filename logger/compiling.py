@@ -107,12 +107,14 @@ def prepare(machine: Machine, progress: Progress) -> None:
     class Compilations(event.Listener):
         """numba's; loading from disk is none."""
 
+        of_kernels: tuple[tuple[Kernel[..., Any], set[FunctionType]], ...] = ()  # once: it takes a while
         uncompiled: set[FunctionType] | None = None  # the second kernel to call one finds it kept
         work, functions = 0.0, 0
 
         def on_start(self, event: Any) -> None:
             if self.uncompiled is None:
-                self.uncompiled = _functions_of(machine)
+                self.of_kernels = tuple((one, set(one.functions())) for one in kernels_of(machine))
+                self.uncompiled = self.of_waiting()
                 self.work, self.functions = _work(self.uncompiled), len(self.uncompiled)
                 progress(KernelsDone(0, self.functions, 0.0))
 
@@ -122,9 +124,13 @@ def prepare(machine: Machine, progress: Progress) -> None:
             if ended is None:
                 return  # one of numba's own, or one for other types
             # Without those of kernels that were found on disk.
-            self.uncompiled = (waiting - {ended}) & _functions_of(machine)
+            self.uncompiled = (waiting - {ended}) & self.of_waiting()
             share = min(1.0 - _work(self.uncompiled) / self.work, MOST)
             progress(KernelsDone(self.functions - len(self.uncompiled), self.functions, share))
+
+        def of_waiting(self) -> set[FunctionType]:
+            """Functions of kernels that were not called yet, and of what they call."""
+            return set().union(*(found for kernel, found in self.of_kernels if not kernel.called))
 
     listener = Compilations()
     event.register("numba:compile", listener)
@@ -133,12 +139,6 @@ def prepare(machine: Machine, progress: Progress) -> None:
             row.prepare(machine)
     finally:
         event.unregister("numba:compile", listener)
-
-
-def _functions_of(machine: Machine) -> set[FunctionType]:
-    """Those of kernels that were not called yet, and of what they call."""
-    waiting = [kernel for kernel in kernels_of(machine) if not kernel.called]
-    return {function for kernel in waiting for function in kernel.functions()}
 
 
 def _work(functions: set[FunctionType]) -> float:

@@ -50,15 +50,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 ONE_MARKER = re.compile(r"(\w+)( and not \w+)*")
+OF_A_FILE = re.compile(r"^pytestmark = \[?pytest\.mark\.(\w+)", re.MULTILINE)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """A run of one marker reads the files that name it: to collect all takes longer than most such runs."""
-    one = ONE_MARKER.fullmatch(config.option.markexpr)
-    if one is None or collection_path.suffix != ".py":
+    """A run reads the files that have tests for it: to import all takes longer than most runs of one marker,
+    and each process of the ordinary run would import what none of its tests needs."""
+    if collection_path.suffix != ".py" or not (wanted := config.option.markexpr):
         return None
     text = collection_path.read_text(encoding="utf-8")
-    return None if f"mark.{one[1]}" in text or "sampled(" in text else True
+    if (of_all := OF_A_FILE.search(text)) and f"not {of_all[1]}" in re.split(" and ", wanted):
+        return True
+    one = ONE_MARKER.fullmatch(wanted)
+    return None if one is None or f"mark.{one[1]}" in text or "sampled(" in text else True
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -34,7 +34,7 @@ def test_nothing_differs_between_a_log_and_itself(call: Answer, tmp_path: Path) 
     status, out, _ = call("compare", recorded().parts[0], saved, "--json")
     found = json.loads(out)
     assert status == 0 and found["chi2"] == 0.0 and "they are of one drive" in found["sentence"]
-    status, out, _ = call("compare", recorded().parts[0], marked())  # of which only one step is marked
+    status, out, _ = call("compare", saved, marked())  # of which only one step is marked
     assert status == 0 and "C_af" in out
 
 

@@ -117,6 +117,7 @@ def test_of_a_log_that_tells_nothing_it_is_said_why_and_nothing_is_written(
     assert said.out == "" and not out.exists()
 
 
+@pytest.mark.long
 def test_a_log_without_steering_is_named_beside_one_that_tells(
     step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from loopback import TEXT
 from paths import ROOT
-from setup_box import PYTHON, Box, has_pip, without_tilth
+from setup_box import Box, without_tilth
 
 from tilth.deploy import can_up
 from tilth.deploy.install import HOTSPOT, KERNELS, Failed, _files_beside, adapter_rule
@@ -23,7 +23,6 @@ EXPOSED = 2.5  # of 10: the most that `systemd-analyze security` may find
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
 def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, wheel: Path) -> None:
     box = Box(tmp_path, without_tilth(tmp_path / "needed"))
     machine = tmp_path / "machine.toml"
@@ -126,7 +125,6 @@ def expect_a_page(box: Box, tmp_path: Path) -> None:
 
 
 @pytest.mark.cold
-@pytest.mark.skipif(not has_pip(), reason=f"no pip for {PYTHON}: apt-get install python3-pip")
 def test_the_first_start_finds_the_kernels_compiled(tmp_path: Path, wheel: Path) -> None:
     """Where the unit lets the recorder look for them."""
     box = Box(tmp_path, without_tilth(tmp_path / "needed"), kernels=True)

@@ -211,7 +211,10 @@ def test_a_stick_that_is_pulled_while_it_is_copied(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("before", "words"),
-    [("", "4 MB are free; make room"), ("t.update.TIMES_ITS_SIZE = t.update.RESERVE = 0", "0 MB are free")],
+    [
+        pytest.param("", "4 MB are free; make room", marks=pytest.mark.long),
+        ("t.update.TIMES_ITS_SIZE = t.update.RESERVE = 0", "0 MB are free"),
+    ],
     ids=["seen in advance", "while it is copied"],
 )
 def test_a_full_disk_is_a_sentence(before: str, words: str, tmp_path: Path) -> None:

@@ -13,19 +13,16 @@ from pathlib import Path
 import pytest
 from loopback import free_port, machine_text, records_of, udp_bus, until
 from releases import SigningKey, release_of
-from setup_box import Box, has_pip, without_tilth
+from setup_box import Box, without_tilth
 
 from tilth.deploy import install, update
 from tilth.logger.update_news import STATE
 from tilth.schemas.notices import NoticeCode
 from tilth.schemas.proto import tilth_pb2 as pb
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("dpkg-deb") is None or not has_pip(),
-    reason="no dpkg-deb, or no pip: apt-get install python3-pip",
-)
+pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb: not on Debian")
 KEY = SigningKey(0xA1)
-CUTS = int(os.environ.get("TILTH_CUTS", "20"))
+CUTS = int(os.environ.get("TILTH_CUTS", "12"))
 
 
 @pytest.fixture
@@ -162,8 +159,8 @@ def test_killed_at_any_instant_the_release_before_or_the_next_runs_and_another_l
         state = f"{version(box)}, next {version(box, 'next')}, keeper {version(box, 'keeper')}"
         left[state] = left.get(state, 0) + 1
         assert version(box) in ("0.1.0", "9.0.0") and version(box, "keeper") in ("0.1.0", "9.0.0")
-        for link in ("current", "keeper"):
-            python = box.root / "opt/tilth" / link / "bin/python"
+        for release in {(box.root / "opt/tilth" / link).resolve() for link in ("current", "keeper")}:
+            python = release / "bin/python"
             words: list[str | Path] = [python, "-P", "-c", "import tilth.cli.run, tilth.deploy.update"]
             assert subprocess.run(words, env=box.environment, check=False).returncode == 0, state
         assert subprocess.run(look, capture_output=True, check=False).returncode == 0

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from logs import MACHINE, MACHINE_TEXT, record
+from sampled import sampled
 
 from tilth.estimator import ties
 from tilth.estimator.record import record_builder
@@ -64,7 +65,7 @@ def test_of_a_tie_the_log_decides(logged: Tie, above: bool, turned: int) -> None
     assert ties.exceeds(2.0, 1.0) and not ties.exceeds(1.0, 2.0)
 
 
-@pytest.mark.parametrize("kept", [True, False], ids=["ties logged", "ties lost"])
+@pytest.mark.parametrize("kept", sampled([True, False], [True]), ids=["ties logged", "ties lost"])
 def test_a_replay_elsewhere_goes_on_from_the_logged_decision(
     kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

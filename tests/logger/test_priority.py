@@ -59,6 +59,7 @@ def test_fits_run_behind_or_say_why_not(refused: bool) -> None:
 
 
 @pytest.mark.usefixtures("prepared")
+@pytest.mark.long
 def test_the_compiling_does_not_die_of_a_refusal() -> None:
     done = subprocess.run(
         [*refusing(*REFUSED), sys.executable, "-P", "-m", "tilth.logger.compiling", "-"],

@@ -217,6 +217,7 @@ def test_a_cut_log_is_exported_as_far_as_it_is_whole(run: Run, tmp_path: Path) -
     assert json.loads((tmp_path / "r" / "export.json").read_text())["skipped"] == {"cut": 1}
 
 
+@pytest.mark.long
 def test_the_examples_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     filled_log(tmp_path / "run.mcap", 300)
     monkeypatch.chdir(tmp_path)

@@ -42,6 +42,7 @@ def pages(pdf: bytes) -> int:
     return sum(len(re.findall(rb"/Type\s*/Page(?![s\w])", text)) for text in texts)
 
 
+@pytest.mark.long
 def test_a_pdf_with_pages_the_same_each_time(facts: Any) -> None:
     report = report_of(everything() | {"runs": [facts], "command": "tilth report a.mcap"})
     made = paper(report)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from logs import MACHINE
 from report_run import VALUES, WrittenRun, write_run
+from sampled import sampled
 
 import tilth.analysis
 from tilth.analysis.sensitivity.knowledge import Knowledge, given, of_machine, of_run
@@ -39,7 +40,10 @@ def asked(known: Knowledge, draws: int = 600) -> Any:
     return entry["outputs"]
 
 
-@pytest.mark.parametrize("correlations", [[], [("C_af", "C_ar", 0.8), ("C_ai", "sigma_i", -0.6)]])
+CORRELATED = [("C_af", "C_ar", 0.8), ("C_ai", "sigma_i", -0.6)]
+
+
+@pytest.mark.parametrize("correlations", sampled([[], CORRELATED], [CORRELATED]))
 def test_small_uncertainties_are_those_of_the_first_order(correlations: list[tuple[str, str, float]]) -> None:
     outputs = asked(given(BASE, dict.fromkeys(VARIED, 0.02), correlations))
     for name in SCALARS:  # normal in the limit; of 600 draws half an interval is known to 4 %

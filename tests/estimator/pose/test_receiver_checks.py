@@ -368,6 +368,7 @@ def test_what_was_learned_with_a_smoothed_turn_rate_is_forgotten_and_it_is_not_u
     assert method_state.window[0].record.t_ns > events[0].t_ns - SECOND
 
 
+@pytest.mark.long
 def test_live_and_replay_find_it_alike(rows: list[Frame], tmp_path: Path) -> None:
     live = record(tmp_path, rows, 3)
     for parts in (live.parts, live.parts[2:]):
