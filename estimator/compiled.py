@@ -120,8 +120,9 @@ class Kernel(Generic[P, R]):
                 within = written is not self.function  # who calls it from Python calls another copy
                 digest = kernel_digest.digest(written, known, f"{versions} {within}")
                 copy.__qualname__ = f"{written.__qualname__}-{digest}"
-                options: dict[str, Any] = OPTIONS | written.__dict__.get(OPTION, {})
-                return numba.njit(cache=keep, no_cpython_wrapper=within, **options)(copy)
+                own = {"cache": keep, "no_cpython_wrapper": within}
+                options: dict[str, Any] = OPTIONS | own | written.__dict__.get(OPTION, {})
+                return numba.njit(**options)(copy)
 
             try:
                 linked = _linked(self.function, {}, finish)

@@ -203,16 +203,12 @@ def keeping_in(folder: str) -> Iterator[None]:
     from numba.core import config
 
     settings: Any = config  # numba sets its attributes itself
-    variable_before, setting_before = os.environ.get("NUMBA_CACHE_DIR"), settings.CACHE_DIR
+    before = settings.CACHE_DIR  # that of the environment; "" is none, to numba too
     os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = folder
     try:
         yield
     finally:
-        settings.CACHE_DIR = setting_before
-        if variable_before is None:
-            os.environ.pop("NUMBA_CACHE_DIR", None)
-        else:
-            os.environ["NUMBA_CACHE_DIR"] = variable_before
+        os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = before
 
 
 def main(words: list[str]) -> int:
