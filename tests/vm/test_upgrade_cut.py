@@ -26,7 +26,7 @@ from cut_drive import disks, logged, new_drive, noted, noted_here
 from loopback import logged_frames, machine_text, udp_bus
 from releases import release_of
 
-LACKING = guest.missing() or contained.missing() or cut_drive.missing()
+LACKING = guest.missing() or contained.missing() or cut_drive.missing() or cut_drive.missing_here()
 pytestmark = pytest.mark.skipif(LACKING != "", reason=LACKING)
 HERE = Path(__file__).parent
 PORT = 47111  # in a network of its own
