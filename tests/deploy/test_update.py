@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from paths import ROOT
 from releases import HERE, SigningKey, package_of
+from setup_box import has_pip
 from small_disk import on_a_small_disk
 
 from tilth.deploy import install, update
@@ -233,6 +234,25 @@ def test_a_full_disk_is_a_sentence(before: str, words: str, tmp_path: Path) -> N
     done = on_a_small_disk(root, "4m", sys.executable, "-c", script, places, root, stick)
     assert done.status == 0 and words in done.out, done.err
     assert not [path for path in done.left if "incoming" in path]
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not has_pip(), reason="no pip: apt-get install python3-pip")
+def test_an_upgrade_by_hand_on_a_full_disk_is_a_sentence(wheel: Path, tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    script = (
+        "import os, sys; sys.path[:0] = sys.argv[1].split(':'); from pathlib import Path\n"
+        "import test_update as t\n"
+        "os.environ['PIP_NO_DEPS'] = '1'\n"
+        "t.installed(Path(sys.argv[2]))\n"
+        "status = t.install.main(['--root', sys.argv[2], 'upgrade', sys.argv[3]])\n"
+        "print('runs:', os.readlink(sys.argv[2] + '/opt/tilth/current')); sys.exit(status)"
+    )
+    places = ":".join([str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")])
+    done = on_a_small_disk(root, "2m", sys.executable, "-c", script, places, root, wheel)
+    assert done.status == 1 and "No space left on device" in done.err.splitlines()[-1], done.err
+    assert "runs: releases/1" in done.out and not [path for path in done.left if "releases/2" in path]
 
 
 def test_keys_come_from_the_computer_and_from_the_release_and_what_is_none_is_left_out(

@@ -28,6 +28,13 @@ def missing() -> str:
     return f"no {', '.join(absent)}: apt-get install e2fsprogs" if absent else ""
 
 
+def missing_here() -> str:
+    """Why a file of this computer's can be no drive; "" where it can."""
+    absent = [path for path in ("/dev/fuse", "/dev/loop-control") if not Path(path).exists()]
+    absent += [tool for tool in ("qemu-storage-daemon",) if shutil.which(tool) is None]
+    return f"no {', '.join(absent)}" if absent else ""
+
+
 def new_drive(path: Path, size: int) -> None:
     """Two partitions, an ext4 of that many bytes in the first."""
     last = FIRST + size // SECTOR

@@ -26,13 +26,13 @@ from cut_drive import disks, logged, new_drive, noted, noted_here
 from loopback import logged_frames, machine_text, udp_bus
 from releases import release_of
 
-LACKING = guest.missing() or contained.missing() or cut_drive.missing()
+LACKING = guest.missing() or contained.missing() or cut_drive.missing() or cut_drive.missing_here()
 pytestmark = pytest.mark.skipif(LACKING != "", reason=LACKING)
 HERE = Path(__file__).parent
 PORT = 47111  # in a network of its own
 CUTS = int(os.environ.get("TILTH_CUTS", "2"))
 SIZE = 400 << 20  # bytes of what is changed of the root
-LOST = 150  # frames of the last three seconds: two are allowed (docs), and the computer may be busy
+LOST = 150  # frames of three seconds: half a second, and what a busy computer adds
 
 
 def scenario(*words: str) -> list[str]:
