@@ -49,7 +49,7 @@ def make(root: Path) -> None:
     """Debian's Python of that processor, and the packages of constraints.txt, as far as they are not there.
     Raises CalledProcessError, OSError."""
     if not (root / "usr/bin/python3").exists():
-        packages = "--include=python3,python3-distutils,ca-certificates,libstdc++6,libgomp1"
+        packages = "--include=python3,ca-certificates,libstdc++6,libgomp1"
         debian: list[str | Path] = ["mmdebstrap", "--quiet", "--arch=arm64", "--variant=extract"]
         subprocess.run([*debian, packages, DEBIAN, root], check=True)
     needed, there = HERE / "constraints.txt", root / "constraints.txt"
@@ -84,7 +84,16 @@ def wheels(root: Path, folder: Path, made_s: str) -> Path:
     """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it, and those of
     constraints.txt, which are ready made. made_s: the time in it, s since 1970. Returns the folder. Raises
     CalledProcessError."""
-    build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps", "--wheel-dir", folder]
+    build: list[str | Path] = [
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--no-build-isolation",
+        "--no-deps",
+        "--wheel-dir",
+        folder,
+    ]
     ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
     ours |= {"PYTHONWARNINGS": "ignore"}  # setuptools', of each folder of data
     subprocess.run([*python(root), *build, HERE.parent], env=ours, check=True)

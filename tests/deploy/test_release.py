@@ -76,20 +76,24 @@ def test_a_release_is_signed_and_the_same_twice(tmp_path: Path, wheel: Path) -> 
     (checkout / "CHANGELOG.md").write_text(changes.replace(", not released yet", ", 2026-11-29", 1))
     package = release_of(wheel, tmp_path, wheel.name.split("-")[1])
     wheels = next(tmp_path.glob("wheels-*"))
+    for_another = wheels.with_name("others")  # with the name of a wheel of the other kind of processor
+    for_another.mkdir()
+    another = "x86_64" if wheel.stem.endswith("_aarch64") else "aarch64"
+    shutil.copy(wheel, for_another / f"{wheel.name.partition('-linux_')[0]}-linux_{another}.whl")
     code = (
         "import sys; from pathlib import Path; from tilth.deploy import package, release\n"
         "package.CHECKOUT = release.CHECKOUT = Path(sys.argv.pop(1))\nsys.exit(release.main())"
     )
     for name in ("once", "twice"):
         words: list[str | Path] = [sys.executable, "-c", code, checkout, tmp_path / name, "--wheels", wheels]
-        words += ["--key", tmp_path / "k.key"]
+        words += ["--wheels", for_another, "--key", tmp_path / "k.key"]
         done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ})
         assert done.returncode == 0, done.stderr
     once, twice = ({p.name: p.read_bytes() for p in (tmp_path / n).iterdir()} for n in ("once", "twice"))
     assert once == twice
-    deb = package.name
-    assert {deb, f"{deb}.minisig", SUMS, f"{SUMS}.minisig", "notes.md", wheel.name} < set(once)
-    for signed in (deb, SUMS):
+    debs = [f"{package.stem.rpartition('_')[0]}_{architecture}.deb" for architecture in ("amd64", "arm64")]
+    assert {SUMS, "notes.md", wheel.name, next(for_another.iterdir()).name} < set(once)
+    for signed in (*debs, SUMS):
         check: list[str | Path] = [
             "minisign",
             "-V",
@@ -103,4 +107,4 @@ def test_a_release_is_signed_and_the_same_twice(tmp_path: Path, wheel: Path) -> 
         verify(tmp_path / "once" / signed, read_signature(once[f"{signed}.minisig"].decode()), key)
     sums = ["sha256sum", "--check", "--strict", "--quiet", SUMS]
     assert subprocess.run(sums, cwd=tmp_path / "once", capture_output=True, check=False).returncode == 0
-    assert len(once[SUMS].splitlines()) == len(once) - 3  # all but itself and the signatures
+    assert len(once[SUMS].splitlines()) == len(once) - 4  # all but itself and the signatures

@@ -9,34 +9,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from installed import STARTED
 from logs import MACHINE_FILE
 
 from tilth.estimator import kernel_store
 from tilth.logger import compiling
-
-INSTALLED = """
-import json, sys, time
-from pathlib import Path
-from numba.core import event
-
-class Compilations(event.Listener):
-    compiled = 0
-    def on_start(self, event):
-        pass
-    def on_end(self, event):
-        Compilations.compiled += 1
-
-event.register("numba:compile", Compilations())
-from tilth.logger import compiling, fit_worker
-from tilth.logger.machine_file import read_machine
-machine, _ = read_machine(Path(sys.argv[1]))
-began = time.process_time()
-ready = compiling.load(machine)
-for fitting in fit_worker.in_order(machine) if ready else ():
-    fit_worker.rehearse(fitting, machine)
-import tilth.estimator.kernel_store as store
-print(json.dumps([ready, Compilations.compiled, str(store.PACKAGED), store.target()]))
-"""
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +33,7 @@ def started(installed: Path, tmp_path: Path, **environment: str) -> tuple[bool, 
     nowhere = dict.fromkeys(("NUMBA_CACHE_DIR", "HOME", "XDG_CACHE_HOME"), str(blocked))
     ours = {"PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1", **nowhere, **environment}
     done = subprocess.run(
-        [sys.executable, "-c", INSTALLED, str(MACHINE_FILE)],
+        [sys.executable, "-c", STARTED, str(MACHINE_FILE)],
         env=os.environ | ours,
         check=False,
         capture_output=True,
