@@ -355,7 +355,8 @@ class SoilMemory:
         along = min(max(along, -SOIL_FIELD.along), SOIL_FIELD.along)
         found, logs = [], []
         for one in self.variograms:
-            root = np.asarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]), np.float64)
+            # In LAPACK's order: each solution would copy it otherwise.
+            root = np.asfortranarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]))
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
             likely = -0.5 * distance - float(np.sum(np.log(np.diag(root))))

@@ -314,9 +314,11 @@ def merged_nearest(windows: Sequence[SoilWindow]) -> list[SoilWindow]:
     old = windows[:-1]
     epochs = np.array([w.epoch for w in old])
     methods, ways = np.array([w.method for w in old]), np.array([w.path[:, 1] for w in old])
-    between = np.linalg.norm(ways[:, None, :, None] - ways[None, :, None, :], axis=-1)
+    north, east = np.moveaxis(ways, 2, 0)
+    squared = (north[:, :, None, None] - north) ** 2 + (east[:, :, None, None] - east) ** 2
     # How far ways are from each other: each place to the nearest of the other.
-    apart = np.maximum(between.min(axis=2).mean(axis=2), between.min(axis=3).mean(axis=2))
+    nearest = np.sqrt(squared.min(axis=3)).mean(axis=1)
+    apart = np.maximum(nearest, nearest.T)
     apart[epochs[:, None] != epochs] += np.max(apart) + 1.0
     apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
     first, second = divmod(int(np.argmin(apart)), len(old))
