@@ -42,7 +42,7 @@ class AgainstFileTuning:
     """When lengths of a machine file are wrong."""
 
     begins: float = tuned(
-        9.0, "1", "logarithm of a likelihood ratio: with a right file exp(-9), 1 in 8,000, for each suspect"
+        8.0, "1", "logarithm of a likelihood ratio, 4 sds: 1 right file in 16,000 for each suspect and look"
     )
     ends: float = tuned(0.4, "1", "factor on that")
     rival: float = tuned(0.01, "1", "of the best likelihood: what explains so much is named as well")
@@ -64,10 +64,15 @@ def found(machine: Machine, evidence: InformationForm, wrong: bool) -> list[Diag
     explanations = [one for one in judged if not HYPOTHESIS[one.name].absorbed]
     best = explanations[0]
     least = AGAINST_FILE.begins * (AGAINST_FILE.ends if wrong else 1.0)
-    if best.name not in _LENGTHS or not exceeds(best.log_ratio, least):
+    if best.name not in _LENGTHS or not exceeds(_along(best), least):
         return []
     nearly = best.log_ratio + math.log(AGAINST_FILE.rival)
     return [_diagnosis(best, [one.name for one in explanations[1:] if exceeds(one.log_ratio, nearly)])]
+
+
+def _along(one: Explanation) -> float:
+    """The part of its log ratio that is of the length: what is aside, a wrong roll looks like as well."""
+    return float(one.amounts[0] ** 2 / one.covariance[0, 0]) / 2.0
 
 
 def _diagnosis(best: Explanation, rivals: list[str]) -> Diagnosis:
