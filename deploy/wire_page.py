@@ -48,8 +48,8 @@ any MCAP reader can open it. On Zenoh, values are published on `PREFIX/MACHINE/K
 simulation has `replay/` before the key. For rates, ages, and behaviour when something fails, see
 [client.md](client.md#what-you-can-count-on).
 
-To read messages, use [examples/subscriber.py](../examples/subscriber.py) in Python, or [the client](client.md);
-[examples/consumer-rust](../examples/consumer-rust) in Rust;
+To read messages, use [examples/subscriber.py](../examples/subscriber.py) in Python, or
+[the client](client.md); [examples/consumer-rust](../examples/consumer-rust) in Rust;
 [examples/consumer-cpp](../examples/consumer-cpp) in C++. For other languages, compile
 `tilth.proto` with `protoc`. For logs as tables, see [export.md](export.md).
 
@@ -59,9 +59,10 @@ To read messages, use [examples/subscriber.py](../examples/subscriber.py) in Pyt
 |---|---|---|---|
 """
 _TELLS: Final = """
-`/can/BUS` has the raw frames; everything else is computed from them. Messages that are only on the network have
-the topic –, those that are only in the log have the key –. Orders and answers of the report, the player,
-experiments and calibrations have their own keys, given with their messages below. Messages named `foxglove.…` are
+`/can/BUS` has the raw frames; everything else is computed from them. Messages that are only on the
+network have the topic –, those that are only in the log have the key –. Orders and answers of the report, the player,
+experiments and calibrations have their own keys, given with their messages below.
+Messages named `foxglove.…` are
 [Foxglove's](https://docs.foxglove.dev/docs/visualization/message-schemas/introduction); the frames and axes
 of the drawing are in [notation.md](notation.md#frames).
 
@@ -71,7 +72,8 @@ World frame: x north, y east. Body frames: x forward, y right, z down. Headings 
 true north; right turns and wheels turned right positive; roll positive right side down, pitch nose up.
 Symbols and words: [notation.md](notation.md).
 
-- **type**: with `?`, the field may be absent, which is not 0 ([why that matters](../schemas/proto/tilth.proto)).
+- **type**: with `?`, the field may be absent, which is not 0
+  ([why that matters](../schemas/proto/tilth.proto)).
   `[]`: any number of them.
 - **unit**: – for texts, booleans, counts and codes; 1 for ratios and for natural logarithms. `ns`
   is on the log's clock unless it says UTC.

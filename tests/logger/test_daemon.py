@@ -192,9 +192,7 @@ def test_the_status_is_published_and_logged_each_second(tmp_path: Path, talker: 
     assert sum("not heard yet" in problem and "tractor front" in problem for problem in last.problems) == 1
     statuses = records_of(summary.log_files[0], "/status", pb.Status)
     assert last in statuses
-    assert not any(
-        status.problems for status in statuses if status.uptime_s < YOUNG_S
-    )  # too early
+    assert not any(status.problems for status in statuses if status.uptime_s < YOUNG_S)  # too early
     apart_s = np.diff([status.t_ns for status in statuses[:-1]]) * 1e-9  # the last is that of the end
     assert apart_s.min() >= 1.0
     assert apart_s.max() < 1.1 + 2 * max(np.diff(ended_s))  # as soon as the loop comes round
