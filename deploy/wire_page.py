@@ -61,8 +61,8 @@ To read messages, use [examples/subscriber.py](../examples/subscriber.py) in Pyt
 _TELLS: Final = """
 `/can/BUS` has the raw frames; everything else is computed from them. Messages that are only on the
 network have the topic –, those that are only in the log have the key –. Orders and answers of the
-report, the player, experiments and calibrations have their own keys, given with their messages below. Messages
-named `foxglove.…` are
+report, the player, experiments and calibrations have their own keys, given with their messages below.
+Messages named `foxglove.…` are
 [Foxglove's](https://docs.foxglove.dev/docs/visualization/message-schemas/introduction); the frames and axes
 of the drawing are in [notation.md](notation.md#frames).
 
