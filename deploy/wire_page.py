@@ -42,28 +42,29 @@ Written by `python -m tilth.deploy.generate` from [schemas/proto/tilth.proto](..
 and the table `CHANNELS` in [schemas/channels.py](../schemas/channels.py).
 
 Logs are [MCAP](https://mcap.dev); the network is [Zenoh](https://zenoh.io). Both carry the same bytes,
-messages in [Protobuf](https://protobuf.dev) (proto3). A log holds the definitions of its messages, so that
-any reader of MCAP can open it. On Zenoh a value is put on `PREFIX/MACHINE/KEY`,
-`tilth/jd7930-parker500/pose` say, with the encoding `application/protobuf;tilth.Pose`; a replay or
-simulation has `replay/` before the key. How often, how old, and what is there when something fails:
+messages in [Protobuf](https://protobuf.dev) (proto3). A log contains the definitions of its messages, so
+any MCAP reader can open it. On Zenoh, values are published on `PREFIX/MACHINE/KEY`, such as
+`tilth/jd7930-parker500/pose`, with the encoding `application/protobuf;tilth.Pose`; a replay or
+simulation has `replay/` before the key. For rates, ages, and behaviour when something fails, see
 [client.md](client.md#what-you-can-count-on).
 
-To read them: [examples/subscriber.py](../examples/subscriber.py) in Python, or [the client](client.md);
-[examples/consumer-rust](../examples/consumer-rust) in Rust;
-[examples/consumer-cpp](../examples/consumer-cpp) in C++. Other languages compile `tilth.proto` with
-`protoc`. Logs as tables: [export.md](export.md).
+To read messages, use [examples/subscriber.py](../examples/subscriber.py) in Python, or
+[the client](client.md); [examples/consumer-rust](../examples/consumer-rust) in Rust;
+[examples/consumer-cpp](../examples/consumer-cpp) in C++. For other languages, compile
+`tilth.proto` with `protoc`. For logs as tables, see [export.md](export.md).
 
 ## Topics
 
-| topic in a log | key on Zenoh | message | a replay gives the same |
+| topic in a log | key on Zenoh | message | same in a replay |
 |---|---|---|---|
 """
 _TELLS: Final = """
-`/can/BUS` has the raw frames; all others are made of them. What is on the network only has the topic (–),
-what is in the log only has the key (–). Orders and answers of the report, the player, experiments and
-calibrations have keys of their own, named at their messages below. Messages named `foxglove.…` are
-[Foxglove's](https://docs.foxglove.dev/docs/visualization/message-schemas/introduction); frames and axes of
-the drawing are in [notation.md](notation.md#frames).
+`/can/BUS` has the raw frames; everything else is computed from them. Messages that are only on the
+network have the topic –, those that are only in the log have the key –. Orders and answers of the
+report, the player, experiments and calibrations have their own keys, given with their messages below.
+Messages named `foxglove.…` are
+[Foxglove's](https://docs.foxglove.dev/docs/visualization/message-schemas/introduction); the frames and axes
+of the drawing are in [notation.md](notation.md#frames).
 
 ## Fields
 
@@ -71,16 +72,17 @@ World frame: x north, y east. Body frames: x forward, y right, z down. Headings 
 true north; right turns and wheels turned right positive; roll positive right side down, pitch nose up.
 Symbols and words: [notation.md](notation.md).
 
-- **type**: `?` after it: may be absent, which is not 0 ([why that matters](../schemas/proto/tilth.proto)).
+- **type**: with `?`, the field may be absent, which is not 0
+  ([why that matters](../schemas/proto/tilth.proto)).
   `[]`: any number of them.
-- **unit**: – for texts, truths, counts and codes; 1 for ratios and for what is of natural logarithms. `ns`
-  counts on the log's clock unless it says UTC.
-- **tolerance**: by how much a replay on another kind of processor may differ, in the field's unit, of
-  numbers above one a share of the number; beside an `sd` in sds. Without one the value is equal everywhere
-  or is no part of a replay ([schemas/tolerances.py](../schemas/tolerances.py)).
-- **since**: the version of the estimator's state that the program had when the field came (`version` in the
-  `state_json` of a log's [snapshots](#snapshot)). Logs of a later version have the field; of this one some
-  may lack it. Fields are added, never re-meant.
+- **unit**: – for texts, booleans, counts and codes; 1 for ratios and for natural logarithms. `ns`
+  is on the log's clock unless it says UTC.
+- **tolerance**: how much a replay on another kind of processor may differ: in the field's unit, for
+  numbers above one as a fraction of the number; next to an `sd` in sds. Without a tolerance, the value is
+  equal everywhere or not part of a replay ([schemas/tolerances.py](../schemas/tolerances.py)).
+- **since**: the version of the estimator's state when the field was added (`version` in the
+  `state_json` of a log's [snapshots](#snapshot)). Logs of later versions have the field; some of this
+  version may lack it. Fields are added; their meaning never changes.
 """
 
 
@@ -131,7 +133,7 @@ def text() -> str:
     if lacking := [one for message in found for one in message.lacking]:
         raise ValueError("; ".join(lacking))
     topics = [
-        ("`/can/BUS`", "–", _link("CanFrame"), "it is what is replayed"),
+        ("`/can/BUS`", "–", _link("CanFrame"), "it is the input"),
         *((f"`{one.topic}`" if one.logged else "–", *_told_of(one)) for one in CHANNELS),
         ("`/snapshot`", "–", _link("Snapshot"), ""),
     ]

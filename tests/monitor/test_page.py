@@ -270,7 +270,7 @@ def test_what_the_implement_carries_is_said_by_a_tap(browser: Browser) -> None:
         expect_run(page, "RECORDING", "good")
         expect(page.locator("#load")).to_be_hidden()
         stage.order(load=-1.0)
-        expect(page.locator("#load")).to_contain_text("carries: nobody has said what (full: 6.0 t)")
+        expect(page.locator("#load")).to_contain_text("load not known (full: 6.0 t)")
         page.locator("#load button", has_text="full").click()
         expect(page.locator("#load")).to_contain_text("carries 6.0 t ± 0.6 t")
         page.locator("#load button", has_text="empty").click()
