@@ -12,6 +12,7 @@ import hashlib
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, NamedTuple
 
@@ -112,10 +113,16 @@ def _codes(code: CodeType) -> list[CodeType]:
     return [code, *(each for one in code.co_consts if isinstance(one, CodeType) for each in _codes(one))]
 
 
+@cache  # a function is asked for by each kernel that calls it, and this takes most of the time of a start
+def _global_names(code: CodeType) -> tuple[str, ...]:
+    """Names of globals and builtins that it reads."""
+    steps = [step for each in _codes(code) for step in dis.get_instructions(each)]
+    return tuple(sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"}))
+
+
 def _globals(function: FunctionType) -> dict[str, Any]:
     """Name -> value of each global that a function reads; builtins are left out."""
-    steps = [step for code in _codes(function.__code__) for step in dis.get_instructions(code)]
-    names = sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"})
+    names = _global_names(function.__code__)
     return {name: function.__globals__[name] for name in names if name in function.__globals__}
 
 
