@@ -13,6 +13,7 @@ import hashlib
 import typing
 from collections.abc import Iterable
 from enum import Enum
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final
 
@@ -58,6 +59,13 @@ def _project_function(value: Any) -> FunctionType | None:
 def _codes(code: CodeType) -> list[CodeType]:
     """The code and that of functions and comprehensions in it."""
     return [code, *(each for one in code.co_consts if isinstance(one, CodeType) for each in _codes(one))]
+
+
+@cache  # a function is asked for by each kernel that calls it, and this takes most of the time of a start
+def _global_names(code: CodeType) -> tuple[str, ...]:
+    """Names of globals and builtins that it reads."""
+    steps = [step for each in _codes(code) for step in dis.get_instructions(each)]
+    return tuple(sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"}))
 
 
 def _globals(function: FunctionType) -> dict[str, Any]:
