@@ -548,6 +548,7 @@ def _activate(box: Box, release: Path, keeper: Path | None = None) -> None:
         command.unlink(missing_ok=True)
         command.symlink_to(target)
     box.point("current", release)
+    os.sync()  # before the recorder of the release before is stopped
 
 
 def _start(box: Box) -> bool:

@@ -105,11 +105,15 @@ def test_after_a_cut_at_any_instant_a_whole_release_records_and_no_log_is_lost(
         versions[(out / "current").read_text().strip().rpartition("/")[2]] += 1
         for name, data in earlier.items():
             assert (out / "logs" / name).read_bytes() == data
-        frames = [f for path in sorted((out / "logs").glob("*.mcap")) for f in logged_frames(path)]
-        assert [int.from_bytes(frame.data, "little") for frame in frames] == list(range(len(frames)))
-        given = next(sent for size, sent in samples if size >= cuts[number])
-        lost.append(given - len(frames))
+        recorded = 0
+        for path in sorted((out / "logs").glob("*.mcap")):
+            numbers = [int.from_bytes(frame.data, "little") for frame in logged_frames(path)]
+            if numbers:  # none is missing within a recording
+                recorded = numbers[-1] + 1
+                assert numbers == list(range(numbers[0], recorded))
+        if "tilth-1.0.0" in (out / "current").read_text():  # else nobody has recorded between the two
+            lost.append(next(sent for size, sent in samples if size >= cuts[number]) - recorded)
     assert "tilth-2.0.0" in (out / "again").read_text()  # what was begun can be ended
     with capsys.disabled():
-        sys.stdout.write(f"\n{len(lost)} cuts: {dict(versions)}; frames lost at most {max(lost)}\n")
-    assert set(versions) <= {"tilth-1.0.0.dist-info", "tilth-2.0.0.dist-info"} and max(lost) < LOST
+        sys.stdout.write(f"\n{dict(versions)} after cuts; frames lost at most {max(lost, default=0)}\n")
+    assert set(versions) <= {"tilth-1.0.0.dist-info", "tilth-2.0.0.dist-info"} and max(lost, default=0) < LOST
