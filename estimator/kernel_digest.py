@@ -8,7 +8,6 @@ own, is compiled anew by each of them.
 """
 
 import dis
-import functools
 import hashlib
 import typing
 from collections.abc import Iterable
@@ -72,13 +71,6 @@ def _globals(function: FunctionType) -> dict[str, Any]:
     """Name -> value of each global that a function reads; builtins are left out."""
     names = _global_names(function.__code__)
     return {name: function.__globals__[name] for name in names if name in function.__globals__}
-
-
-@functools.cache
-def _global_names(code: CodeType) -> list[str]:
-    """Of what a code reads of its module or of Python, in order."""
-    steps = (step for one in _codes(code) for step in dis.get_instructions(one))
-    return sorted({step.argval for step in steps if step.opname == "LOAD_GLOBAL"})
 
 
 def _reading(function: FunctionType, known: Known) -> str:
