@@ -8,10 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tilth.estimator import implement_load
 from tilth.estimator.diagnosis import diagnosis, watch
+from tilth.estimator.diagnosis.consistency import widening_by_file
 from tilth.estimator.diagnosis.watch import Moved
 from tilth.estimator.fold import (
     RECOMMENDED,
@@ -392,6 +395,14 @@ class GuardedFold:
     def confirmed(self) -> bool:
         """Whether the data have confirmed the machine file."""
         return self.state.diagnosis.confirmed
+
+    @property
+    def by_file(self) -> dict[str, NDArray[np.float64]]:
+        """Method -> covariance of the six logarithms, (6, 6), that errors which may still be in the machine
+        file add to its own; without methods of which that is not known yet."""
+        known = self.state.diagnosis.consistency
+        widenings = {method: widening_by_file(known, method) for method in self.state.estimators}
+        return {method: one.covariance for method, one in widenings.items() if one is not None}
 
     @property
     def contradicted(self) -> list[str]:

@@ -9,6 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tilth.estimator import ties
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.pose import log_time, receiver_checks
@@ -80,6 +83,7 @@ class ReplaySummary:
     unknown: dict[Origin, int] = field(default_factory=dict)  # of rejected["unknown_source"]
     left_out: list[str] = field(default_factory=list)  # of rejected["other_time"]: whose frames, in words
     confirmed: bool = False  # whether the data confirm the machine file, at the end
+    by_file: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # as of GuardedFold, at the end
     contradicted: list[str] = field(default_factory=list)  # what of it they contradict then, in sentences
     moved: list[str] = field(default_factory=list)  # what has moved and was neither accepted nor put back
 
@@ -440,6 +444,7 @@ class _Run:
             if kind == "rejected" and count > 0:
                 self.summary.rejected[reason] = count
         self.summary.confirmed = self._fold.confirmed
+        self.summary.by_file = self._fold.by_file
         self.summary.contradicted = self._fold.contradicted
         self.summary.moved = [text for _, text in self._fold.moved]
         self.summary.faults += self._fold.faults

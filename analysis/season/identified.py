@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,6 +71,7 @@ class Stretch:
     model_sd: Array  # (6,), of errors of the model
     changed: bool = False  # it contradicts what was known before it
     refused: Code | None = None  # why nothing is learned of it
+    by_file: Array | None = None  # (6, 6): what errors that may still be in the machine file add, if known
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +124,9 @@ def _replayed(task: RunTask, paths: Sequence[Path], began_s: float) -> Identifie
     counted: dict[str, int] = {}
     for event in told:
         counted[event.kind] = counted.get(event.kind, 0) + 1
+    stretches = (replace(one, by_file=summary.by_file.get(one.method)) for one in heard.stretches)
     return Identified(
-        "", tuple(heard.stretches), summary.frames, summary.poses, summary.duration_ns * 1e-9,
+        "", tuple(stretches), summary.frames, summary.poses, summary.duration_ns * 1e-9,
         time.process_time() - began_s, summary.confirmed, tuple(summary.contradicted), tuple(summary.moved),
         tuple(dict.fromkeys(map(readable, said))),
         tuple((event.kind, event_sentence(event)) for event in told[:MOST_EVENTS]), counted,

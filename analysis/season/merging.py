@@ -3,8 +3,8 @@
 As the daemon does it from run to run: information adds up, the six drift over the distance driven
 (filters/drift.py), what was learned fades over the time between two runs (warm_start.py), a stretch that
 contradicts what was known begins anew, and errors of the model do not average out
-(fit_covariance.mixed). Then smoothed backwards over the whole season (fixed interval; Rauch, Tung and
-Striebel 1965), so that a stretch of spring knows what summer told.
+(fit_covariance.mixed), nor do those of the machine file (widening.py). Then smoothed backwards over the whole
+season (fixed interval; Rauch, Tung and Striebel 1965), so that a stretch of spring knows what summer told.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class SixKnown:
     """Of the six logarithms."""
 
     mean: Array  # (6,)
-    covariance: Array  # (6, 6), with the masses' and the model's errors
+    covariance: Array  # (6, 6), with errors of the machine file and of the model
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,9 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
     prior = np.diag(sd[free] ** 2)
     masses = pem.of_masses(np.diag(unknowns.prior(machine)[1] ** 2))[SIX, SIX]
 
-    def known(state: Array, covariance: Array, errors: Array) -> SixKnown:
-        whole_mean, whole = mean.copy(), masses.copy()
+    def known(one: Stretch, state: Array, covariance: Array, errors: Array) -> SixKnown:
+        whole_mean = mean.copy()
+        whole = masses + (0.0 if one.by_file is None else one.by_file)  # the same file in all, so it stays
         whole_mean[free] += state
         whole[np.ix_(free, free)] += covariance + np.diag(errors[free] ** 2)
         return SixKnown(whole_mean, (whole + whole.T) / 2.0)
@@ -71,7 +72,7 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
     alone, means, covariances, model_sds, steps = [], [], [], [], list[_DriftStep]()
     for one, pause_s in zip(stretches, pauses_s, strict=True):
         information, vector = one.information[np.ix_(free, free)], one.vector[free]
-        alone.append(known(*_updated(np.zeros(len(free)), prior, information, vector), one.model_sd))
+        alone.append(known(one, *_updated(np.zeros(len(free)), prior, information, vector), one.model_sd))
         step = _step(covariance, prior, one, pause_s)
         common = np.zeros(6) if one.changed else np.minimum(errors, one.model_sd)
         given_up = np.zeros(6) if one.changed else errors**2 - common**2
@@ -95,9 +96,9 @@ def merged(machine: Machine, stretches: Sequence[Stretch], pauses_s: Sequence[fl
         before, after = _spread(covariances[k], free), _spread(smooth[1][k], free)
         smooth_sds.insert(0, fit_covariance.mixed(model_sds[k], smooth_sds[0], before, after))
     return [
-        MergedStretch(by_it, known(m, p, e), known(sm, sp, se))
-        for by_it, m, p, e, sm, sp, se in zip(
-            alone, means, covariances, model_sds, smooth[0], smooth[1], smooth_sds, strict=True
+        MergedStretch(by_it, known(one, m, p, e), known(one, sm, sp, se))
+        for one, by_it, m, p, e, sm, sp, se in zip(
+            stretches, alone, means, covariances, model_sds, smooth[0], smooth[1], smooth_sds, strict=True
         )
     ]
 

@@ -154,10 +154,16 @@ def withheld(state: Consistency, estimate: Estimate) -> Estimate:
     if why := contradictions(state) or state.methods.get(estimate.method, []):
         reason = Reason(Code.CONTRADICTED, because=tuple(one.reason for one in why))
         return _without_numbers(estimate, Status.INVALID, reason)
-    own = state.own.get(estimate.method) if _sensors_known(state) else None
-    if not state.judged and not state.confirmed and own is None:
+    of_file = widening_by_file(state, estimate.method)
+    if of_file is None:
         return _without_numbers(estimate, Status.UNESTIMATED, state.missing)
-    return widened(own or state.widening, estimate, state.given.get(estimate.method, ()))
+    return widened(of_file, estimate, state.given.get(estimate.method, ()))
+
+
+def widening_by_file(state: Consistency, method: str) -> Widening | None:
+    """What errors that may still be in the file do to a method's numbers; None while that is not known."""
+    own = state.own.get(method) if _sensors_known(state) else None
+    return own or (state.widening if state.judged or state.confirmed else None)
 
 
 def _without_numbers(estimate: Estimate, status: Status, reason: Reason) -> Estimate:

@@ -4,13 +4,13 @@ import math
 from functools import lru_cache
 from typing import Final
 
-from pyproj import Transformer
+from pyproj import Geod, Transformer
 from pyproj.enums import TransformDirection
 
 from tilth.estimator.rig.geometry import Vector
 
-_EQUATOR: Final = 6_378_137.0  # radius, m, of WGS 84
-_SQUARED: Final = (2.0 - 1.0 / 298.257223563) / 298.257223563  # its eccentricity squared
+_WGS_84: Final = Geod(ellps="WGS84")
+_EQUATOR, _SQUARED = float(_WGS_84.a), float(_WGS_84.es)  # radius, m; eccentricity squared
 
 
 @lru_cache(maxsize=8)

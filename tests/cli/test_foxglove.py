@@ -15,7 +15,7 @@ pytest.importorskip("foxglove", reason="the extra foxglove is not installed")
     [
         (("--port", "65536"), "give a number from 0 to 65535"),
         (("--host", "203.0.113.1", "--port", "0"), "give others"),
-        (("--connect", "nonsense"), "an endpoint looks like"),
+        (("--connect", "nonsense"), "one looks like"),
         (("--machine", "a/b"), "give its name in the machine file"),
     ],
 )

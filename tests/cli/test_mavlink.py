@@ -13,7 +13,7 @@ from tilth.cli import main
         (("--to", "udpout:127.0.0.1:0"), "give udpout:HOST:PORT"),
         (("--to", "udpout:127.0.0.1:14550", "--system", "256"), "give a number from 1 to 255"),
         (("--to", "udpout:127.0.0.1:14550", "--machine", "a/b"), "give its name in the machine file"),
-        (("--to", "udpout:127.0.0.1:14550", "--connect", "nonsense"), "an endpoint looks like"),
+        (("--to", "udpout:127.0.0.1:14550", "--connect", "nonsense"), "one looks like"),
     ],
 )
 def test_wrong_use_is_told_in_one_line(

@@ -295,7 +295,7 @@ def test_the_first_start_on_a_new_computer_records_from_the_first_second(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "usage: python -m tilth.logger.compiling MACHINE.toml\n"),
+        ([], "usage: python -m tilth.logger.compiling MACHINE.toml [only]\n"),
         (["nowhere.toml"], "nowhere.toml: the machine file cannot be read (no such file"),
     ],
 )

@@ -302,7 +302,7 @@ def test_a_daemon_that_is_not_there_comes_goes_and_comes_again_as_another_versio
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--connect", "nonsense"], "an endpoint looks like"),
+        (["--connect", "nonsense"], "one looks like"),
         (["--port", "99999"], "from 0 to 65535"),
         (["--host", "203.0.113.9"], "give another --port or --host"),
         (["--machine", "**"], "its name in the machine file"),
