@@ -146,6 +146,7 @@ def mapped(
     runs = [(run, [window for _, window in of]) for run, of in pairs]
     soil, changed = memory_of(runs, prior_sd)
     masses = pem.of_masses(np.diag(prior_sd**2))[SIX, SIX][:AXLES, :AXLES]
+    by_file = stretches[-1].by_file[:AXLES, :AXLES]  # a field is as in its last run, and so is the file
     ways = tuple(window.path[:, IMPLEMENT_AXLE] for window in windows)
     reach_m = min(max(soil.at(windows[0].path).length_m, cell_m), REACH_M)
     grid = _cells(ways, cell_m, reach_m)
@@ -153,7 +154,7 @@ def mapped(
     for k in range(0, len(grid), AT_ONCE):
         at, covariance = soil.around(grid[k : k + AT_ONCE] + cell_m / 2.0)
         mean[k : k + AT_ONCE] = prior_mean[:AXLES] + at
-        sd[k : k + AT_ONCE] = np.sqrt(np.diagonal(covariance + masses, axis1=1, axis2=2))
+        sd[k : k + AT_ONCE] = np.sqrt(np.diagonal(covariance + masses + by_file, axis1=1, axis2=2))
     known = np.array(
         [[is_supported(False, one, of) for one, of in zip(row, prior_sd, strict=False)] for row in sd]
     ).reshape(sd.shape)
@@ -162,7 +163,7 @@ def mapped(
     features = []
     for one, window, way in zip(stretches, windows, ways, strict=True):
         there = soil.at(window.path)
-        sds = np.sqrt(np.diag(there.covariance)[:AXLES] + np.diag(masses))
+        sds = np.sqrt(np.diag(there.covariance)[:AXLES] + np.diag(masses) + np.diag(one.by_file)[:AXLES])
         said = _said(prior_mean[:AXLES] + there.mean[:AXLES], sds, prior_sd)
         ring = _degrees(origin_deg, along(way, machine.tyres.implement))
         features.append(MapFeature(STRETCH, number, ring, {**said, **one.properties}))

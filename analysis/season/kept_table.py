@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _COLUMNS: Final = (
     "kind", "machine", "implement", "rig_sha256", "run", "log", "method", "latitude_deg", "longitude_deg",
     *(f"{name}_informed" for name in PARAMETERS[:AXLES]), "alone_C_af", "information", "vector", "model_sd",
-    "together", "logs_sha256", "machine_sha256",
+    "by_file", "together", "logs_sha256", "machine_sha256",
 )  # fmt: skip
 _TIMES: Final = ("begin_utc", "end_utc")
 
@@ -43,6 +43,7 @@ class PlacedStretch:
     begin_utc_ns: int
     path_deg: Array  # (points, 2), latitude and longitude of the implement's axle
     told: Told
+    by_file: Array  # (6, 6), covariance that errors which may still be in the machine file add
     properties: Mapping[str, Any]  # of its row, for a map
 
 
@@ -68,7 +69,7 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
         )
     rig = _chosen(rigs, machine, implement)
     own = [row for row in rows if row["rig_sha256"] and _rig(row) == rig]
-    used = [row for row in own if row["together"] and row["alone_C_af"] is not None]
+    used = [row for row in own if row["together"] and row["alone_C_af"] is not None and row["by_file"]]
     placed = [row for row in used if _has_place(row)]
     left_out = []
     if len(used) < len(own):
@@ -151,12 +152,13 @@ def _has_place(row: Mapping[str, Any]) -> bool:
 def _stretch(row: Mapping[str, Any]) -> PlacedStretch:
     path = np.stack([row["latitude_deg"], row["longitude_deg"]], axis=1)
     told = Told(np.reshape(row["information"], (6, 6)), np.array(row["vector"]), np.array(row["model_sd"]))
+    by_file = np.reshape(row["by_file"], (6, 6))
     properties = {
         **{f"{name}_informed": row[f"{name}_informed"] for name in PARAMETERS[:AXLES]},
         **{name: row[name] and utc_text(row[name]) for name in _TIMES},
         **{name: row[name] for name in ("run", "method", "log", "logs_sha256")},
     }
-    return PlacedStretch(row["run"], row["method"], row["begin_utc"] or 0, path, told, properties)
+    return PlacedStretch(row["run"], row["method"], row["begin_utc"] or 0, path, told, by_file, properties)
 
 
 def runs_in(stretches: Sequence[PlacedStretch]) -> list[str]:

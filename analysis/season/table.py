@@ -19,7 +19,7 @@ from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import installing
 from tilth.schemas.readable import readable
 
-FORM: Final = 2  # of the table; grows when a column changes its meaning, or what is beside them
+FORM: Final = 3  # of the table; grows when a column changes its meaning, or what is beside them
 FACTS, MACHINES = "tilth.season", "tilth.machines"  # keys of the metadata
 TEXT, NUMBER, WHOLE, NUMBERS, TRUTH, UTC = "text", "number", "whole", "numbers", "truth", "utc"
 
@@ -138,6 +138,9 @@ COLUMNS: Final[tuple[RowColumn, ...]] = (
            _of_stretch(lambda one: one.vector.tolist())),
     RowColumn("model_sd", NUMBERS, "1", "of the logarithms, errors of the model, as in other stretches",
            _of_stretch(lambda one: one.model_sd.tolist())),
+    RowColumn("by_file", NUMBERS, "1", "of the logarithms, what errors that may still be in the machine file "
+           "add, 6 × 6 by rows; empty while nobody knows",
+           _of_stretch(lambda one: None if one.by_file is None else one.by_file.ravel().tolist())),
     RowColumn("changed", TRUTH, "", "it contradicted what was known", _of_stretch(lambda one: one.changed)),
     RowColumn("together", TRUTH, "", "it is put together with other runs",
            _of_run(lambda one: not one.apart)),

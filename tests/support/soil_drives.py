@@ -66,7 +66,7 @@ def driven(soil: Soil, seed: int, *, of_rig: float = 0.1) -> list[PlacedStretch]
             north = along if row % 2 == 0 else PARTS * LENGTH_M - along
             path = np.array([to_degrees(ORIGIN_DEG, x, ROW_M * row) for x in north.tolist()])
             empty = Told(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
-            one = PlacedStretch("day0", "pem", len(found) + 1, path, empty, HERE)
+            one = PlacedStretch("day0", "pem", len(found) + 1, path, empty, np.zeros((6, 6)), HERE)
             logs = np.zeros(6)
             logs[:3] = true_of(one, soil) + off + ALONE_SD * rng.standard_normal(3)
             information = np.diag([ALONE_SD**-2] * 3 + [0.0] * 3)
@@ -99,7 +99,7 @@ def kept_season(
         told = [
             Stretch(
                 one.method, begin_ns + n * 10**10, begin_ns + n * 10**10 + 10**9, 20.0, 30.0, 3.0, 0.1,
-                one.path_deg, one.told.information, one.told.vector, one.told.model_sd,
+                one.path_deg, one.told.information, one.told.vector, one.told.model_sd, by_file=one.by_file,
             )
             for n, one in enumerate(stretches)
         ]  # fmt: skip

@@ -107,6 +107,21 @@ def test_stretches_and_cells_have_numbers_or_reasons_and_what_nobody_informed_is
     assert first["C_ai"] is None and first["C_ai_status"] == "unestimated" and first["C_ai_reason"]
 
 
+def test_a_field_is_as_uncertain_as_errors_of_the_machine_file_make_it() -> None:
+    stretches, by_file = driven(two_soils, 0)[:6], np.diag([0.04, 0.01, 0.02, 0.0, 0.0, 0.0])
+    right = mapped(4, MACHINE, stretches).features
+    doubted = mapped(4, MACHINE, [replace(one, by_file=by_file) for one in stretches]).features
+    both = [
+        (one.properties[f"{name}_log_sd"], other.properties[f"{name}_log_sd"], by_file[k, k])
+        for one, other in zip(right, doubted, strict=True)
+        for k, name in enumerate(("C_af", "C_ar", "C_ai"))
+    ]
+    known = [(sd, wider, added) for sd, wider, added in both if sd is not None and wider is not None]
+    assert len(known) > 20
+    for sd, wider, added in known:
+        assert wider == pytest.approx(math.hypot(sd, math.sqrt(added)))
+
+
 def test_soil_that_has_changed_with_time_is_told_and_the_map_is_of_after() -> None:
     before = driven(one_soil, 0, of_rig=0.0)[::2]
     later = driven(lambda north, east: one_soil(north, east) - 0.8, 1, of_rig=0.0)[::2]

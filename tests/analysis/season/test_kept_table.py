@@ -22,6 +22,7 @@ def test_stretches_come_back_as_they_were_told(tmp_path: Path) -> None:
         np.testing.assert_array_equal(one.path_deg, before.path_deg)
         np.testing.assert_array_equal(one.told.information, before.told.information)
         np.testing.assert_array_equal(one.told.vector, before.told.vector)
+        np.testing.assert_array_equal(one.by_file, before.by_file)
     first = found.stretches[0].properties
     assert first["begin_utc"] == "2026-05-01T08:00:00Z" and first["C_af_informed"] > 0.9
     assert runs_in(found.stretches) == [MACHINE.machine.name]

@@ -95,6 +95,21 @@ def test_errors_of_the_model_do_not_average_out() -> None:
         assert np.all(np.sqrt(np.diag(one.covariance)) > 0.095)
 
 
+def test_errors_of_the_machine_file_are_added_to_what_is_known_by_all_stretches() -> None:
+    """The file is one, so its errors are the same in all, and no number of stretches makes them less."""
+    root = np.random.default_rng(7).standard_normal((6, 6))
+    by_file = 0.01 * root @ root.T
+    stretches = [stretch(k) for k in range(1, 5)]
+    right = merged(MACHINE, stretches, [0.0] * 4)
+    doubted = merged(MACHINE, [replace(one, by_file=by_file) for one in stretches], [0.0] * 4)
+    for one, other in zip(right, doubted, strict=True):
+        for way in ("alone", "forward", "smoothed"):
+            np.testing.assert_array_equal(getattr(one, way).mean, getattr(other, way).mean)
+            np.testing.assert_allclose(
+                getattr(other, way).covariance, getattr(one, way).covariance + by_file, atol=1e-12
+            )
+
+
 def test_a_stretch_that_tells_nothing_takes_nothing_off_the_prior() -> None:
     none = replace(stretch(1), information=np.zeros((6, 6)), vector=np.zeros(6))
     assert all(share == pytest.approx(0.0) for share in share_learned(none.information, SD).values())
