@@ -88,8 +88,8 @@ def test_an_unreadable_bucket_is_a_reason_and_the_rest_goes_on(
     reasons = {row["log"]: row["reason"] for row in rows_of(out) if row["kind"] == "file"}
     assert list(reasons) == ["s3://other/logs"] and "not" in reasons["s3://other/logs"]
     capsys.readouterr()
-    assert main(["season", "s3://other/logs", "--out", str(tmp_path / "none"), "--workers", "1"]) == 0
-    assert "s3://other/logs: " in capsys.readouterr().err
+    assert main(["season", "s3://other/logs", "--out", str(tmp_path / "none"), "--workers", "1"]) == 2
+    assert "s3://other/logs: is not there" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("url", ["s3://farm/nothing", "s3://", "s3://farm/week/day7.mcap", "nosuch://a/b"])
