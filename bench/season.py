@@ -1,14 +1,15 @@
 """A season of simulated days: how fast it is identified, and whether the intervals of its stretches hold.
 
-    python bench/season.py make FOLDER [--hours 6] [--minutes 10]
+    python bench/season.py make FOLDER [--hours 6] [--minutes 10] [--tractors N]
     python bench/season.py run FOLDER [--workers 1 2] [--dask]
     python bench/season.py held OUT
 
 `make` writes logs with the rig's own frames alone into FOLDER, a file for each day, the truth beside it; what
 is there is not made again. A tractor of the virtual fleet pulls three implements, empty and full, on six
 fields: 36 days, and then the same in another order. Each day it drives rows and headlands on a field whose
-patches stay, on soil that is all day a little softer or firmer than usual. Keep FOLDER outside of the
-repository.
+patches stay, on soil that is all day a little softer or firmer than usual. With --tractors it is one day each
+of so many others, since errors of one tractor's file are the same in all of its days. Keep FOLDER outside of
+the repository.
 
 `run` identifies it anew with so many workers in turn, into a folder that is removed afterwards, and once more
 with nothing to do. `held` counts, of the season OUT that `tilth season FOLDER --out OUT` has made, in how
@@ -47,14 +48,15 @@ Array = NDArray[np.float64]
 DAY_NS: Final = 86_400_000_000_000
 DAY_SD: Final = 0.15  # of the logarithm of a day's stiffnesses
 FIRST_RIG: Final = 700  # of the fleet; none that constants were chosen on
+OTHERS_FIRST, OTHERS_STEP, DAYS_STEP = 720, 10, 5  # of --tractors: rigs, and the days that they drive
 IMPLEMENTS, LOADS, FIELDS = 3, 2, 6
 EMPTY: Final = 0.45  # of an implement's full mass
 STIFFNESSES: Final[tuple[Parameter, ...]] = ("C_af", "C_ar", "C_ai")
 
 
-def rig_of(implement: int, full: bool) -> FleetRig:
+def rig_of(implement: int, full: bool, first: int) -> FleetRig:
     """The tractor with one of the implements. Stiffness goes with load as the rig's tyres have it."""
-    tractor, other = drawn(FIRST_RIG), drawn(FIRST_RIG + implement)
+    tractor, other = drawn(first), drawn(first + implement)
     share = 1.0 if full else EMPTY
     cart = other.implement
     share *= min(cart.full_mass, MOST_TOWED * tractor.tractor.mass) / cart.mass
@@ -69,17 +71,17 @@ def rig_of(implement: int, full: bool) -> FleetRig:
     parameters["sigma_i"] = other.parameters["sigma_i"]
     places = {m: (tractor if m.body == "tractor" else other).places[m] for m in Mount}
     return replace(
-        tractor, seed=FIRST_RIG + 10 * implement + full, implement=cart, parameters=parameters, places=places,
+        tractor, seed=first + 10 * implement + full, implement=cart, parameters=parameters, places=places,
         tyres=(tyres[0], tyres[1], tyres[2]),
     )  # fmt: skip
 
 
-def day_of(day: int) -> tuple[FleetRig, int]:
-    """The rig of a day, and the number of its field."""
+def day_of(day: int, first: int = FIRST_RIG) -> tuple[FleetRig, int]:
+    """The rig of a day, and the number of its field. first: the tractor's number in the fleet."""
     days = IMPLEMENTS * LOADS * FIELDS
     order = np.random.default_rng([56, day // days]).permutation(days)
     rest, field = divmod(int(order[day % days]), FIELDS)
-    return rig_of(rest // LOADS, bool(rest % LOADS)), field
+    return rig_of(rest // LOADS, bool(rest % LOADS), first), field
 
 
 def scenario_for(rig: FleetRig, field: int, day: int, minutes: float) -> Scenario:
@@ -105,17 +107,17 @@ def scenario_for(rig: FleetRig, field: int, day: int, minutes: float) -> Scenari
     return replace(plain, soil=replace(plain.soil, parameters=of_day))
 
 
-def made(task: tuple[Path, int, float]) -> None:
+def made(task: tuple[Path, int, float, int]) -> None:
     """Write one log, unless it is there."""
-    folder, day, minutes = task
+    folder, day, minutes, first = task
     log = folder / f"day{day:03d}.mcap"
     if log.exists():
         return
     folder.mkdir(parents=True, exist_ok=True)
-    rig, field = day_of(day)
+    rig, field = day_of(day, first)
     scenario, text = scenario_for(rig, field, day, minutes), owners_text(rig)
     load = "full" if rig.implement.fill else "empty"
-    text = text.replace(f"fleet-{rig.seed}", f"fleet-{FIRST_RIG}")
+    text = text.replace(f"fleet-{rig.seed}", f"fleet-{first}")
     text = text.replace("[implement]", f'[implement]\nname = "{rig.implement.kind}-{load}"', 1)
     source = SimulationInput(
         parse_machine(text),
@@ -130,8 +132,11 @@ def made(task: tuple[Path, int, float]) -> None:
     print(log, f"rig {rig.seed}, field {field}", flush=True)
 
 
-def make(folder: Path, hours: float, minutes: float, processes: int) -> None:
-    tasks = [(folder, day, minutes) for day in range(round(60.0 * hours / minutes))]
+def make(folder: Path, hours: float, minutes: float, tractors: int, processes: int) -> None:
+    tasks = [(folder, day, minutes, FIRST_RIG) for day in range(round(60.0 * hours / minutes))]
+    if tractors:
+        numbers = ((1 + DAYS_STEP * k, OTHERS_FIRST + OTHERS_STEP * k) for k in range(tractors))
+        tasks = [(folder, day, minutes, first) for day, first in numbers]
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         pool.map(made, tasks, chunksize=1)
 
@@ -237,6 +242,7 @@ def main() -> None:
     making.add_argument("folder", type=Path)
     making.add_argument("--hours", type=float, default=6.0)
     making.add_argument("--minutes", type=float, default=10.0, help="of a day")
+    making.add_argument("--tractors", type=int, default=0, help="a day each of so many others instead")
     making.add_argument("--processes", type=int, default=1)
     running = ways.add_parser("run")
     running.add_argument("folder", type=Path)
@@ -245,7 +251,7 @@ def main() -> None:
     ways.add_parser("held").add_argument("out", type=Path)
     args = parser.parse_args()
     if args.what == "make":
-        make(args.folder, args.hours, args.minutes, args.processes)
+        make(args.folder, args.hours, args.minutes, args.tractors, args.processes)
     elif args.what == "run":
         run(args.folder, args.workers, args.dask)
     else:

@@ -28,15 +28,18 @@ LEAST_LOG_RANGE, LEAST_SD_RANGE = 0.2, 0.05  # of the colours of a map
 
 
 def calendar(data: Mapping[str, Any]) -> Figure:
-    """Hours of each day, a colour for each machine with its implement."""
-    days, rigs = data["days"], data["rigs"]
+    """Hours of each day, a colour for each machine with its implement; those with fewest share one."""
+    days = data["days"]
+    rigs = sorted(data["rigs"], key=lambda rig: -sum(rig["hours"]))
+    named, others = rigs[: len(COLOURS)], rigs[len(COLOURS) :]
     figure, axes = panels(1, 1, 2.0, WIDTH)
     panel, below = axes[0, 0], np.zeros(len(days))
-    for k, rig in enumerate(rigs):
-        hours = np.array(rig["hours"], dtype=np.float64)
-        panel.bar(
-            np.arange(len(days)), hours, bottom=below, color=COLOURS[k % len(COLOURS)], label=rig["name"]
-        )
+    bars = [(rig["hours"], colour, rig["name"]) for rig, colour in zip(named, COLOURS, strict=False)]
+    if others:
+        bars.append((np.sum([rig["hours"] for rig in others], axis=0), QUIET, f"{len(others)} others"))
+    for of_days, colour, name in bars:
+        hours = np.array(of_days, dtype=np.float64)
+        panel.bar(np.arange(len(days)), hours, bottom=below, color=colour, label=name)
         below += hours
     _name_days(panel, days)
     panel.set_ylabel("hours")

@@ -8,6 +8,15 @@ from tilth.analysis.report.figure_look import LOOK
 from tilth.analysis.report.season_figures import MOST_DAYS_NAMED, calendar, field_map, soils
 
 
+def test_many_machines_fit_into_the_calendars_legend() -> None:
+    """A contractor's fifty; the bars of a day still add up to all of its hours."""
+    rigs = [{"name": f"tractor {k}", "hours": [1.0 + k]} for k in range(50)]
+    (axes,) = calendar({"days": ["2026-05-01"], "rigs": rigs}).axes
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names[0] == "tractor 49" and names[-1] == "44 others" and len(names) == 7
+    assert sum(bar.get_height() for bar in axes.patches) == sum(range(1, 51))
+
+
 def test_the_calendar_adds_up_the_machines_of_a_day_and_names_few_days() -> None:
     days = [f"2026-05-{day:02d}" for day in range(1, 31)]
     data = {"days": days, "rigs": [{"name": name, "hours": [2.0] * 30} for name in ("one", "two")]}
