@@ -54,7 +54,7 @@ EMPTY: Final = 0.45  # of an implement's full mass
 STIFFNESSES: Final[tuple[Parameter, ...]] = ("C_af", "C_ar", "C_ai")
 
 
-def rig_of(implement: int, full: bool, first: int) -> FleetRig:
+def rig_of(implement: int, full: bool, first: int = FIRST_RIG) -> FleetRig:
     """The tractor with one of the implements. Stiffness goes with load as the rig's tyres have it."""
     tractor, other = drawn(first), drawn(first + implement)
     share = 1.0 if full else EMPTY
