@@ -49,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
     if args.out.exists():
         raise WrongUse(f"{args.out}: exists; a map is never overwritten, give another name")
     check_folder(args.out.parent)
+    from threadpoolctl import threadpool_limits
+
     from tilth.analysis.season.field_map import fields_of, mapped  # wrong use is told before these imports
     from tilth.analysis.season.kept_table import MapProblem, stretches_of
     from tilth.analysis.season.map_page import told_of
@@ -63,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
             if ending in (".png", ".json") and args.field is None and len(parts) > 1:
                 raise WrongUse(f"a {ending} is of one field, and there are {len(parts)}: give --field, 1 up")
             wanted = [part for part in parts if args.field in (None, part[0])]
-            fields = [mapped(number, rig.machine, of, args.cell) for number, of in wanted]
+            with threadpool_limits(1):  # two that wait for each other take four times the processor's time
+                fields = [mapped(number, rig.machine, of, args.cell) for number, of in wanted]
         except (MapProblem, NoParquet) as error:
             raise WrongUse(str(error)) from None
         for text in (*rig.left_out, *map(told_of, fields)):

@@ -84,36 +84,17 @@ def wheels(root: Path, folder: Path, made_s: str) -> Path:
     """Tilth's wheel of this checkout, which keeps the kernels that are compiled for it, and those of
     constraints.txt, which are ready made. made_s: the time in it, s since 1970. Returns the folder. Raises
     CalledProcessError."""
-    build: list[str | Path] = [
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--no-build-isolation",
-        "--no-deps",
-        "--wheel-dir",
-        folder,
-    ]
+    build = ["-m", "pip", "wheel", "--quiet", "--no-build-isolation", "--no-deps"]
     ours = {**environment(root), "SOURCE_DATE_EPOCH": made_s}
     ours |= {"PYTHONWARNINGS": "ignore"}  # setuptools', of each folder of data
-    subprocess.run([*python(root), *build, HERE.parent], env=ours, check=True)
+    subprocess.run([*python(root), *build, "--wheel-dir", folder, HERE.parent], env=ours, check=True)
     (own,) = folder.glob("tilth-*.whl")
     with zipfile.ZipFile(own) as content:
         kernels = [name for name in content.namelist() if name.startswith("tilth/estimator/kernels/")]
         content.extractall(HERE.parent / ".typing", kernels)
-    pip: list[str | Path] = [
-        "uv",
-        "tool",
-        "run",
-        "--python",
-        PYTHON,
-        "pip",
-        "download",
-        "--quiet",
-        "--no-deps",
-    ]
+    pip = ["uv", "tool", "run", "--python", PYTHON, "pip", "download", "--quiet", "--no-deps"]
     loads = [word for minor in GLIBC for word in ("--platform", f"manylinux_2_{minor}_aarch64")]
-    pip += ["--no-deps", "--only-binary", ":all:", "--python-version", PYTHON, *loads]
+    pip += ["--only-binary", ":all:", "--python-version", PYTHON, *loads]
     subprocess.run([*pip, "--dest", folder, "-r", HERE / "constraints.txt"], check=True)
     return folder
 

@@ -74,7 +74,6 @@ def sources() -> dict[str, str]:
 
 
 @cache  # parsing all sources takes seconds, and each drawing and check asks anew
-@cache  # drawings and checks ask for the same ones
 def imported(source: str) -> frozenset[str]:
     """What of tilth and of the studies a module imports anywhere in it, in a function too:
     `estimator.pose.body.centre`."""

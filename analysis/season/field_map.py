@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
-from threadpoolctl import threadpool_limits
 
 from tilth.analysis.season.identified import IMPLEMENT_AXLE
 from tilth.analysis.season.kept_table import MapProblem, PlacedStretch
@@ -132,12 +131,7 @@ def memory_of(runs: Sequence[tuple[str, list[SoilWindow]]], prior_sd: Array) -> 
 def mapped(
     number: int, machine: Machine, stretches: Sequence[PlacedStretch], cell_m: float = CELL_M
 ) -> MappedField:
-    """A field. Raises MapProblem where it has too many cells.
-
-    From here on linear algebra has one thread, as in the daemon: two that waited for each other on a busy
-    computer took four times the processor's time.
-    """
-    threadpool_limits(1)
+    """A field. Raises MapProblem where it has too many cells."""
     first = stretches[0].path_deg[0].tolist()
     origin_deg = (first[0], first[1])
     windows = [window_of(machine, origin_deg, one) for one in stretches]

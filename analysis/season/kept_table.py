@@ -69,7 +69,7 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
         )
     rig = _chosen(rigs, machine, implement)
     own = [row for row in rows if row["rig_sha256"] and _rig(row) == rig]
-    used = [row for row in own if row["together"] and row["alone_C_af"] is not None and row["by_file"]]
+    used = [row for row in own if row["together"] and row["alone_C_af"] is not None]
     placed = [row for row in used if _has_place(row)]
     left_out = []
     if len(used) < len(own):
