@@ -1,14 +1,14 @@
 """A season of simulated days: how fast it is identified, and whether the intervals of its stretches hold.
 
-    python bench/season.py make FOLDER [--hours 6] [--minutes 10] [--tractors N]
+    python bench/season.py make FOLDER [--hours 6] [--minutes 10] [--tractors N] [--processes 1]
     python bench/season.py run FOLDER [--workers 1 2] [--dask]
     python bench/season.py held OUT
 
 `make` writes logs with the rig's own frames alone into FOLDER, a file for each day, the truth beside it; what
 is there is not made again. A tractor of the virtual fleet pulls three implements, empty and full, on six
 fields: 36 days, and then the same in another order. Each day it drives rows and headlands on a field whose
-patches stay, on soil that is all day a little softer or firmer than usual. With --tractors it is one day each
-of so many others, since errors of one tractor's file are the same in all of its days. Keep FOLDER outside of
+patches stay, on soil that is all day a little softer or firmer than usual. With --tractors so many others drive
+in turn, a day each, since errors of one tractor's file are the same in all of its days. Keep FOLDER outside of
 the repository.
 
 `run` identifies it anew with so many workers in turn, into a folder that is removed afterwards, and once more
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 DAY_NS: Final = 86_400_000_000_000
 DAY_SD: Final = 0.15  # of the logarithm of a day's stiffnesses
 FIRST_RIG: Final = 700  # of the fleet; none that constants were chosen on
-OTHERS_FIRST, OTHERS_STEP, DAYS_STEP = 720, 10, 5  # of --tractors: rigs, and the days that they drive
+OTHERS_FIRST, OTHERS_STEP = 720, 10  # rigs of --tractors
 IMPLEMENTS, LOADS, FIELDS = 3, 2, 6
 EMPTY: Final = 0.45  # of an implement's full mass
 STIFFNESSES: Final[tuple[Parameter, ...]] = ("C_af", "C_ar", "C_ai")
@@ -133,10 +133,9 @@ def made(task: tuple[Path, int, float, int]) -> None:
 
 
 def make(folder: Path, hours: float, minutes: float, tractors: int, processes: int) -> None:
-    tasks = [(folder, day, minutes, FIRST_RIG) for day in range(round(60.0 * hours / minutes))]
-    if tractors:
-        numbers = ((1 + DAYS_STEP * k, OTHERS_FIRST + OTHERS_STEP * k) for k in range(tractors))
-        tasks = [(folder, day, minutes, first) for day, first in numbers]
+    numbers = [OTHERS_FIRST + OTHERS_STEP * k for k in range(tractors)] or [FIRST_RIG]
+    days = range(round(60.0 * hours / minutes))
+    tasks = [(folder, day, minutes, numbers[day % len(numbers)]) for day in days]
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         pool.map(made, tasks, chunksize=1)
 
@@ -242,7 +241,7 @@ def main() -> None:
     making.add_argument("folder", type=Path)
     making.add_argument("--hours", type=float, default=6.0)
     making.add_argument("--minutes", type=float, default=10.0, help="of a day")
-    making.add_argument("--tractors", type=int, default=0, help="a day each of so many others instead")
+    making.add_argument("--tractors", type=int, default=0, help="so many others instead, in turn")
     making.add_argument("--processes", type=int, default=1)
     running = ways.add_parser("run")
     running.add_argument("folder", type=Path)
