@@ -7,9 +7,9 @@
 `make` writes logs with the rig's own frames alone into FOLDER, a file for each day, the truth beside it; what
 is there is not made again. A tractor of the virtual fleet pulls three implements, empty and full, on six
 fields: 36 days, and then the same in another order. Each day it drives rows and headlands on a field whose
-patches stay, on soil that is all day a little softer or firmer than usual. With --tractors so many others drive
-in turn, a day each, since errors of one tractor's file are the same in all of its days. Keep FOLDER outside of
-the repository.
+patches stay, on soil that is all day a little softer or firmer than usual. With --tractors so many others
+drive in turn, a day each, since errors of one tractor's file are the same in all of its days. Keep FOLDER
+outside of the repository.
 
 `run` identifies it anew with so many workers in turn, into a folder that is removed afterwards, and once more
 with nothing to do. `held` counts, of the season OUT that `tilth season FOLDER --out OUT` has made, in how
