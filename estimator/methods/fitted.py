@@ -24,8 +24,10 @@ from tilth.schemas.reasons import Code, Reason
 class FittedTuning:
     """By how much the results of one job differ between two kinds of processor."""
 
-    ends: float = tuned(0.1, "sd", "apart at most: so near its maximum a search may end")
+    ends: float = tuned(0.1, "sd", "of the six, apart at most: so near its maximum a search may end")
     """As `SearchTuning.settled_step`. The largest seen is 0.065, of sigma_i on a drive that tells little."""
+    other_ends: float = tuned(1.0, "sd", "of all else: a search ends where the six have settled")
+    """As `NewtonTuning.same_place`. The largest seen is 0.66, of a noise level, with the six within 0.025."""
     near: float = tuned(0.05, "1", "of a threshold: a statistic that such ends may take to its other side")
 
 
@@ -55,13 +57,14 @@ def is_tie(*pairs: tuple[float, float]) -> bool:
 
 
 def apart(one: Fit, other: Fit) -> float:
-    """By how many sds results of one job differ that two kinds of processor have computed; infinitely where
-    they decide otherwise, but FITTED.ends where that is a tie."""
+    """By how many sds the six of one job differ that two kinds of processor have computed, or all else by
+    that share of what it may; infinitely where they decide otherwise, but FITTED.ends where that is a tie."""
     if (one.changed, one.refused) != (other.changed, other.refused):
         return FITTED.ends if one.tie or other.tie else math.inf
     sds, others = (np.sqrt(np.diag(fit.covariance)) for fit in (one, other))
     known = np.where(sds > 0.0, sds, 1.0)
     far = np.maximum(np.abs(one.mean - other.mean), np.abs(sds - others)) / known
+    far[6:] *= FITTED.ends / FITTED.other_ends
     return float(np.max(far)) if np.all(np.isfinite(far)) else math.inf
 
 

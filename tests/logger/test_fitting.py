@@ -479,16 +479,23 @@ def test_a_result_of_the_log_is_used_where_it_would_be_the_same(
 
 
 @pytest.mark.parametrize(
-    ("moved_sd", "changed", "tie", "ties"),
-    [(1e-7, False, False, 0), (0.09, False, False, 1), (0.11, False, False, None), (0.0, True, False, None),
-     (5.0, True, True, 1), (5.0, False, True, None)],
+    ("six_sd", "other_sd", "changed", "tie", "ties"),
+    [(1e-7, 1e-7, False, False, 0), (0.09, 0.09, False, False, 1), (0.11, 0.0, False, False, None),
+     (0.0, 0.9, False, False, 1), (0.0, 1.1, False, False, None), (0.0, 0.0, True, False, None),
+     (5.0, 5.0, True, True, 1), (5.0, 5.0, False, True, None)],
 )  # fmt: skip
 def test_elsewhere_a_fit_that_is_as_good_goes_on_from_the_logged_one(
-    fit_of_a_job: tuple[pem.Job, pem.Fit], moved_sd: float, changed: bool, tie: bool, ties: int | None
+    fit_of_a_job: tuple[pem.Job, pem.Fit],
+    six_sd: float,
+    other_sd: float,
+    changed: bool,
+    tie: bool,
+    ties: int | None,
 ) -> None:
     replayed, (job, here) = ReplayedFits(MACHINE, lambda kind, told: None), fit_of_a_job
     sds = np.sqrt(np.diag(here.covariance))
-    there = replace(here, mean=here.mean + moved_sd * sds, changed=changed, tie=tie)
+    moved = np.where(np.arange(len(sds)) < 6, six_sd, other_sd) * sds
+    there = replace(here, mean=here.mean + moved, changed=changed, tie=tie)
     replayed.recorded_by(software() | {"libc": "musl 1"}, verified=True)
     replayed.add_outcome(flow.FitOutcome(9, pem.METHOD, job.asked_ns, True, result=as_text(there)))
     used = replayed.outcome(pem.METHOD, job, 9)
