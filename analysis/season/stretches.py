@@ -221,8 +221,8 @@ def _row(one: DrivenRun, path: str, known: MergedStretch | None, k: int) -> Seas
         return SeasonRow(STRETCH, Status.INVALID, reason, path, one, stretch)
     if one.found.contradicted:
         return SeasonRow(STRETCH, Status.INVALID, one.apart, path, one, stretch, known)
-    if stretch.by_file is None:  # live there is no number either
-        return SeasonRow(STRETCH, Status.UNESTIMATED, one.apart or UNCONFIRMED, path, one, stretch, known)
+    if stretch.by_file is None:  # live there is no number either, and intervals would be too narrow
+        return SeasonRow(STRETCH, Status.UNESTIMATED, one.apart or UNCONFIRMED, path, one, stretch)
     said = _said(one.machine, known.smoothed)
     given = Status.ESTIMATED in said.statuses
     status = Status.ESTIMATED if given else Status.UNESTIMATED

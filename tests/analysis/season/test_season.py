@@ -192,9 +192,14 @@ def test_a_drive_in_parts_and_one_that_was_cut(tmp_path: Path) -> None:
     assert found.done["runs"] == 1 and [row["kind"] for row in rows] == ["stretch"] * len(rows) and rows
     for row in rows:
         assert len(row["latitude_deg"]) == len(row["longitude_deg"]) == 6
+        for way in ("alone", "forward", "season"):
+            assert (row[f"{way}_log_covariance"] is None) == (row["by_file"] is None)
+        if row["by_file"] is None:
+            assert row["reason"] == UNCONFIRMED or not row["together"]
+            continue
         covariance = np.array(row["season_log_covariance"]).reshape(6, 6)
         assert np.all(np.diag(covariance) <= prior(MACHINE)[1][SIX] ** 2 * 1.3)
-        assert row["reason"] in ("", UNCONFIRMED) or not row["together"]
+        assert row["reason"] == "" or not row["together"]
     assert any(row[name] for row in rows for name in PARAMETERS[:3])
     other = tmp_path / "two"
     season([str(part) for part in live.parts], other, lambda longest_s: here(2))
