@@ -35,9 +35,10 @@ BASE = "tilth/jd7930-parker500"
 
 
 @pytest.fixture(autouse=True)
-def commands() -> Iterator[list[str]]:
-    """How commands are started behind all else; a test may change the words."""
-    words = [sys.executable, "-P", "-m", "tilth.cli.background"]
+def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """How commands are started, here not behind this run's other tests; a test may change the words."""
+    monkeypatch.setattr("tilth.logger.run_report.REPORTS", 0)
+    words = [sys.executable, "-P", "-m", "tilth.cli"]
     started_as(["tilth"], words)
     yield words
     started_as(["tilth"])
