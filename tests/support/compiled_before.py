@@ -1,5 +1,5 @@
-"""Compiles kernels that several tests call besides those of a machine's estimators, `python compiled_before.py`:
-else processes that run at once would each compile them."""
+"""Compiles kernels that several tests call besides those of a machine's estimators: `python compiled_before.py`.
+Else processes that run at once would each compile them."""
 
 from contextlib import suppress
 
