@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy: on few cores its threads wait for each other
 
 import pytest
-from logs import MACHINE
+from logs import MACHINE, MACHINE_FILE
 from loopback import Sender
-from paths import ROOT
+from paths import ROOT, SUPPORT
 from recorded import RUN_FOLDER, once
 
 from tilth.estimator.kernel_store import BASELINES
@@ -35,8 +35,14 @@ sys.dont_write_bytecode = False
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile once, before all processes and what they start would each do it."""
     if getattr(session.config.option, "numprocesses", None):
-        machine = ROOT / "deploy/machines/jd7930-parker500.toml"
-        subprocess.run([sys.executable, "-m", "tilth.logger.compiling", str(machine)], check=True)
+        once("compiled", _compiled)
+
+
+def _compiled(folder: Path) -> None:
+    """folder: nothing is left there; numba keeps what is compiled."""
+    commands = ["-m", "tilth.logger.compiling", str(MACHINE_FILE)], [str(SUPPORT / "compiled_before.py")]
+    for process in [subprocess.Popen([sys.executable, *words]) for words in commands]:
+        assert process.wait() == 0, process.args
 
 
 def pytest_configure(config: pytest.Config) -> None:

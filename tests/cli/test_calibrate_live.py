@@ -3,6 +3,8 @@
 import json
 import socket
 import sys
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -141,9 +143,17 @@ def test_who_reads_lines_is_told_why_nothing_counts_and_how_the_estimate_stands(
     assert len({without_seconds(one) for one in told}) == 1 < len(set(told))
 
 
-def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path) -> None:
-    started_as(["tilth"], [sys.executable, "-P", "-m", "tilth.cli.background"])
-    estimates = BackgroundEstimates(["--machine", str(FILE)])
+@pytest.fixture
+def estimates() -> Iterator[BackgroundEstimates]:
+    """They end with the test, also with one that fails."""
+    with closing(BackgroundEstimates(["--machine", str(FILE)])) as them:
+        yield them
+
+
+def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(
+    estimates: BackgroundEstimates, tmp_path: Path
+) -> None:
+    started_as(["tilth"], [sys.executable, "-P", "-m", "tilth.cli"])  # not behind this run's other tests
     standing, driving = fold_of(STANDS), fold_of(DRIVES)
     estimates.turn(standing, [])
     assert not estimates.so_far.busy and "begins after 65 s more" in estimates.so_far.text
@@ -163,7 +173,6 @@ def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path
     estimates.ask()
     estimates.turn(driving, [missing])
     assert estimates.so_far.busy
-    estimates.close()
 
 
 @pytest.mark.parametrize(
@@ -174,7 +183,7 @@ def test_estimates_begin_with_driving_and_a_failure_is_a_sentence(tmp_path: Path
     ],
 )
 def test_the_next_estimate_is_counted_down_to_and_begins(
-    answer: dict[str, str], more_s: float, said: str
+    estimates: BackgroundEstimates, answer: dict[str, str], more_s: float, said: str
 ) -> None:
     """65 s are enough for the first; what told nothing is tried again soon."""
     fold = fold_of(STANDS)
@@ -185,19 +194,16 @@ def test_the_next_estimate_is_counted_down_to_and_begins(
         return estimates.so_far
 
     started_as(["tilth"], [sys.executable, "-c", f"print({json.dumps(answer)!r})"])
-    estimates = BackgroundEstimates([])
     assert "begins after 1 s more" in turned(64.0).text
     assert turned(65.0).busy
     until(lambda: not turned(65.0).busy)
     assert said in estimates.so_far.text and f"after {more_s:.0f} s more" in estimates.so_far.text
     assert "after 1 s more" in turned(64.0 + more_s).text and turned(65.0 + more_s).busy
-    estimates.close()
 
 
-def test_an_estimate_that_was_asked_for_early_keeps_nobody_waiting() -> None:
+def test_an_estimate_that_was_asked_for_early_keeps_nobody_waiting(estimates: BackgroundEstimates) -> None:
     fold = fold_of(STANDS)
     started_as(["tilth"], [sys.executable, "-c", 'print(\'{"refused": "less than a minute"}\')'])
-    estimates = BackgroundEstimates([])
     fold.tally.moving = round(30.0 / stages.TICK_S)
     estimates.ask()
     estimates.turn(fold, [])

@@ -105,7 +105,7 @@ def test_a_peer_has_the_numbers_with_status_and_age_whatever_the_way_loses() -> 
             heard = [*peer.names.values(), *peer.array[:25]]
             return states == {Status.ESTIMATED} and peer.names[AGE] < 3 and not any(map(math.isnan, heard))
 
-        until(fresh, lambda: None)
+        until(fresh)
         for i, (name, value) in enumerate(zip(PARAMETERS, THETA, strict=True)):
             row = [peer.names[name + suffix] for suffix in SUFFIXES]
             assert row[:3] == pytest.approx([value, value * LOG_SD, Status.ESTIMATED], rel=1e-6)

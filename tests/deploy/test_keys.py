@@ -110,7 +110,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
             lambda query: query.reply(query.key_expr, b"noted") if "*" not in str(query.key_expr) else None,
         )
     with open_session(config=folder / "witness.json") as witness:
-        until(lambda: answers_to(witness, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(witness, f"{BASE}/status") == [b"well"])
         witness.declare_subscriber(f"{BASE}/**", lambda sample: one.witness.put(sample.payload.to_bytes()))
         assert answers_to(witness, f"{BASE}/status") == [b"well"]  # so the subscription is known
         yield one
@@ -148,7 +148,7 @@ def test_who_was_invited_hears_and_only_the_operator_orders(net: Net, name: str)
     net.queries.clear()
     received: SimpleQueue[bytes] = SimpleQueue()
     with open_session(config=net.folder / f"{name}.json") as session:
-        until(lambda: answers_to(session, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(session, f"{BASE}/status") == [b"well"])
         assert answers_to(session, f"{BASE}/*") == [b"well"] and answers_to(session, "other/**") == []
         session.declare_subscriber(f"{BASE}/**", others(received))
         misbehave(session)
@@ -159,7 +159,7 @@ def test_who_was_invited_hears_and_only_the_operator_orders(net: Net, name: str)
         assert net.forged() == []
         net.session.put(f"{BASE}/status", b"well")
         assert received.get(timeout=PATIENCE_S) == net.witness.get(timeout=PATIENCE_S) == b"well"
-        until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
+        until(lambda: net.samples == [f"{BASE}/status"])  # the daemon's own
         assert received.empty() and net.witness.empty() and "other/**" not in net.queries
 
 
@@ -189,7 +189,7 @@ def test_who_was_not_invited_gets_nothing_changes_nothing_and_is_told_why(
         net.session.put(f"{BASE}/status", b"well")
         assert net.queries == [] and net.forged() == []
         assert net.witness.get(timeout=PATIENCE_S) == b"well"
-        until(lambda: net.samples == [f"{BASE}/status"], lambda: None)  # the daemon's own
+        until(lambda: net.samples == [f"{BASE}/status"])  # the daemon's own
         assert received.empty() and net.witness.empty()
 
 
@@ -205,14 +205,14 @@ def test_an_operator_may_prompt_a_driver_and_take_his_orders_and_a_reader_may_lo
             wires.show(pb.ExperimentState(plan="keys"))
             return seen.qsize() > 8
 
-        until(shown, lambda: None)
+        until(shown)
         assert {pb.ExperimentState.FromString(seen.get()).plan for _ in range(8)} == {"keys"}
         order = pb.ExperimentOrder(kind="arm").SerializeToString()
 
         def ordered() -> bool:
             return any(r.ok for r in page.get(f"{BASE}/experiment/order", payload=order, timeout=PATIENCE_S))
 
-        until(ordered, lambda: None)
+        until(ordered)
         assert wires.orders()[0].kind == "arm"
         assert list(reader.get(f"{BASE}/experiment/order", payload=order, timeout=1.0)) == []
         assert wires.orders() == []
@@ -248,12 +248,12 @@ def test_noise_and_floods_at_the_door_leave_the_daemon_at_its_work(net: Net) -> 
     ):
         secured.sendall(noise)
     with open_session(config=net.folder / "olga.json") as flooding:
-        until(lambda: answers_to(flooding, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(flooding, f"{BASE}/status") == [b"well"])
         net.queries.clear()
         big = [r for r in flooding.get(f"{BASE}/mark", payload=b"x" * 3_000_000, timeout=1.0) if r.ok]
         assert big == [] and f"{BASE}/mark" not in net.queries
         with open_session(config=net.folder / "rita.json") as reader:
-            until(lambda: answers_to(reader, f"{BASE}/status") == [b"well"], lambda: None)
+            until(lambda: answers_to(reader, f"{BASE}/status") == [b"well"])
 
 
 def test_the_daemon_takes_its_keys_from_the_machine_file(tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_the_daemon_takes_its_keys_from_the_machine_file(tmp_path: Path) -> None
     assert sink.endpoints == [f"tls/0.0.0.0:{port}"] and sink.note == ""
     with open_session(config=tmp_path / "keys" / "rita.json") as reader:
         sink.put("/status", b"well")
-        until(lambda: answers_to(reader, f"{BASE}/status") == [b"well"], lambda: None)
+        until(lambda: answers_to(reader, f"{BASE}/status") == [b"well"])
     with open_session(f"tcp/127.0.0.1:{port}") as plain:
         assert answers_to(plain, f"{BASE}/status") == []
     sink.close()
@@ -368,7 +368,7 @@ def test_an_operator_marks_a_reader_is_told_why_not_and_garbage_changes_nothing(
             assert main(words) == 2
             assert output in capsys.readouterr().err
         with open_session(config=folder / "olga.json") as olga:
-            until(lambda: bool(answers_to(olga, f"{BASE}/status")), lambda: None)
+            until(lambda: bool(answers_to(olga, f"{BASE}/status")))
             for payload in (b"", b"\xff\xfe", b"\x00\x1b[2J", b"x" * 5000, b"x" * 2_000_000):
                 replies = list(olga.get(f"{BASE}/mark", payload=payload, timeout=2.0))
                 assert not any(reply.ok for reply in replies)

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -129,7 +128,7 @@ def test_the_real_daemon_killed_while_driving(seconds: float, tmp_path: Path) ->
             at = [0.001 * i for i in range(len(part))]
             sender.begin([port], [(0, f, s) for f, s in zip(part, at, strict=True)])
             sender.finish()
-            until(lambda: any(logs.glob("*.addresses.json")), lambda: time.sleep(0.05))
+            until(lambda: any(logs.glob("*.addresses.json")))
             daemon.send_signal(end)
             daemon.communicate(timeout=PATIENCE_S)
     first_part = min(logs.glob("*_001.mcap"), key=lambda path: path.stat().st_mtime)

@@ -209,7 +209,7 @@ def test_signals_and_a_crash(commands: tuple[dict[str, Command], int], sender: S
     sent = numbered(2500)
     sender.begin([port], [(0, frame, i / 1000) for i, frame in enumerate(sent)])
     sender.finish()
-    until(lambda: len(salvaged(started["KILL"].log.read_bytes())) >= 1000, lambda: None)
+    until(lambda: len(salvaged(started["KILL"].log.read_bytes())) >= 1000)
     started["KILL"].process.kill()
     for name, signum in (("TERM", signal.SIGTERM), ("INT", signal.SIGINT)):
         command = started[name]
@@ -242,10 +242,10 @@ def test_a_fault_in_the_estimators_costs_no_frame(
     for frame in numbered(10):
         say(talker, frame)  # nobody listens yet
     daemon = Daemon(MachineFile(machine, text), tmp_path, None, displayed)
-    until(lambda: daemon.turn() == 0 and displayed.status.buses[0].state == "open", lambda: None)
+    until(lambda: daemon.turn() == 0 and displayed.status.buses[0].state == "open")
     for frame in numbered(10):
         say(talker, frame)
-    until(lambda: daemon.turn() == 0 and bool(displayed.events), lambda: None)
+    until(lambda: daemon.turn() == 0 and bool(displayed.events))
     summary = daemon.close()
     (path,) = summary.log_files
     assert [f.data for f in logged_frames(path)] == [f.data for f in numbered(10)] and summary.faults == 1
@@ -360,7 +360,7 @@ def test_a_terminal_that_goes_away_does_not_stop_the_log(tmp_path: Path, talker:
         for _ in range(3):
             daemon.turn(0.0)
         say(talker, numbered(1)[0])
-        until(lambda: daemon.turn() == 1, lambda: None)
+        until(lambda: daemon.turn() == 1)
         assert daemon.close().recorded == 1
         with contextlib.suppress(BrokenPipeError):
             gone.close()

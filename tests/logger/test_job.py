@@ -133,7 +133,7 @@ def test_garbage_is_no_answer_between_parent_and_child(line: bytes) -> None:
 
 def test_whoever_looks_now_and_then_never_holds_it_up() -> None:
     with closing(Job([*PYTHON, "import sys; sys.stderr.write('x' * 999999)"])) as one:
-        until(lambda: not one.alive, lambda: None)
+        until(lambda: not one.alive)
         assert one.end() == ""
 
 
@@ -177,7 +177,7 @@ def test_what_it_has_started_ends_with_it(goes_on: str) -> None:
         assert line is not None
         if not goes_on:
             assert one.end() == ""
-    until(lambda: gone(int(line)), lambda: None)
+    until(lambda: gone(int(line)))
 
 
 # How a parent starts a child, `one`, whose id it tells
@@ -214,7 +214,7 @@ def test_no_child_outlives_a_parent_that_is_killed(child: str) -> None:
         line = parent.next()
         assert line is not None
         os.kill(parent.pid, signal.SIGKILL)
-        until(lambda: gone(int(line)), lambda: None)
+        until(lambda: gone(int(line)))
         assert parent.end() == OUT_OF_MEMORY
 
 

@@ -165,10 +165,10 @@ def test_the_heartbeat_on_zenoh_counts_what_went_wrong(tmp_path: Path) -> None:
             daemon.turn()
             return pb.Status.FromString(answers(other, key).get(key, (b"", ""))[0])
 
-        until(lambda: any(one.state == "open" for one in last_status().buses), lambda: None)
+        until(lambda: any(one.state == "open" for one in last_status().buses))
         for frame in numbered(3):
             bus.send(can.Message(arbitration_id=frame.can_id, is_extended_id=True, data=frame.data))
-        until(lambda: last_status().frames == 3, lambda: None)
+        until(lambda: last_status().frames == 3)
         status = last_status()
     daemon.close()
     assert status.health == "bad" and not status.recording

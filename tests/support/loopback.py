@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -130,7 +131,14 @@ class Sender:
         self._process.stdout.close()
 
 
-def until(condition: Callable[[], bool], turn: Callable[[], object], seconds: float = PATIENCE_S) -> None:
+def breath() -> None:
+    """What is waited for needs this computer's cores, behind all else where it has the lowest priority."""
+    threading.Event().wait(0.02)
+
+
+def until(
+    condition: Callable[[], bool], turn: Callable[[], object] = breath, seconds: float = PATIENCE_S
+) -> None:
     """Turn a loop until something is so; fails where it never is."""
     deadline = time.monotonic() + seconds
     while not condition():

@@ -38,7 +38,7 @@ class Wire:
         self.tally = Tally()
         self.port = SocketCanPort(near, self.clock, self.tally, CONFIG)
         self.frames: list[Frame] = []
-        until(self._stamps_are_on, lambda: None)
+        until(self._stamps_are_on)
 
     def _stamps_are_on(self) -> bool:
         """Whether the kernel stamps on arrival yet; it begins a little after it is asked to."""
@@ -131,7 +131,7 @@ def test_what_waited_for_a_busy_loop_keeps_its_stamp(wire: Wire, monkeypatch: py
     assert wire.take() == 0
     wire.send(1)
     sent_ns = wire.clock.t_ns()
-    until(lambda: wire.clock.t_ns() > sent_ns + 50_000_000, lambda: None)
+    until(lambda: wire.clock.t_ns() > sent_ns + 50_000_000)
     wire.take_all(1)
     (frame,) = wire.frames
     assert frame.rx_ns <= sent_ns < frame.t_ns - 50_000_000 and wire.clock.bad_stamps == 0

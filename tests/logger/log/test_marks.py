@@ -106,7 +106,7 @@ def test_a_mark_is_on_the_disk_when_it_is_acknowledged_and_published_once(
             assert (event.kind, event.text) == ("mark", "nasse Senke, Spur 3")
             assert str(reply.ok.encoding) == "application/protobuf;tilth.Event"
             assert noted(tmp_path / "logs", tmp_path) == ["nasse Senke, Spur 3"]
-            until(lambda: "nasse Senke, Spur 3" in received, lambda: None)
+            until(lambda: "nasse Senke, Spur 3" in received)
         # On a computer without kernels an event tells of their compiling.
         assert [text for text in received if not text.startswith("compiling")] == ["nasse Senke, Spur 3"]
 

@@ -5,7 +5,6 @@ import re
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -295,7 +294,7 @@ def test_another_implementation_of_ros_hears_a_daemon_that_hears_a_tractor(tmp_p
             with socket.socket() as probe:
                 return probe.connect_ex(place) == 0
 
-        until(listens, lambda: time.sleep(0.1))
+        until(listens)
         words = [str(listener), tractor.endpoint, "7", f"/{OWN}"]
         heard = subprocess.run(words, capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False)
     finally:
