@@ -22,6 +22,7 @@ type of an argument is compiled for, and to numba the constant 0 is one of its o
 import importlib.util
 import warnings
 from collections.abc import Callable
+from hashlib import sha256
 from types import FunctionType
 from typing import Any, Final, Generic, ParamSpec, TypeVar
 
@@ -98,11 +99,7 @@ class Kernel(Generic[P, R]):
     def _compile(self, args: tuple[Any, ...]) -> Callable[P, R]:
         """The function compiled for arguments of these types, else interpreted.
 
-        The code is stored on disk if a folder for it can be written. Raises TypeError of `check_arguments`,
-        also where numba is absent, so that a mistake in a kernel shows on every computer.
-        """
-        known: kernel_digest.Known = {}
-        kernel_digest.check_arguments(self.function, args, known)
+        The code is stored on disk if a folder for it can be written."""
         try:
             import numba
             import numpy
@@ -113,13 +110,15 @@ class Kernel(Generic[P, R]):
             self.how = f"interpreted: {error}"
             return self.interpreted()
         for_what = (kernel_store.choose(), numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER)
-        versions = repr((*for_what, OPTIONS))
+        known: kernel_digest.Known = {}
+        given = kernel_digest.kinds(args, known)
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:
                 within = written is not self.function  # who calls it from Python calls another copy
-                digest = kernel_digest.digest(written, known, f"{versions} {within}")
-                copy.__qualname__ = f"{written.__qualname__}-{digest}"
+                read = kernel_digest.digest(written, known)
+                told = repr((read, within or given, for_what, OPTIONS))
+                copy.__qualname__ = f"{written.__qualname__}-{sha256(told.encode()).hexdigest()[:16]}"
                 own = {"cache": keep, "no_cpython_wrapper": within}
                 options: dict[str, Any] = OPTIONS | own | written.__dict__.get(OPTION, {})
                 return numba.njit(**options)(copy)
