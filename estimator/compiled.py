@@ -19,12 +19,13 @@ not by a kernel around its loop. A function with many callers, or a short one, c
 type of an argument is compiled for, and to numba the constant 0 is one of its own.
 """
 
+import gc
 import importlib.util
 import warnings
 from collections.abc import Callable
 from hashlib import sha256
 from types import FunctionType
-from typing import Any, Final, Generic, ParamSpec, TypeVar
+from typing import Any, Final, Generic, ParamSpec, TypeVar, cast
 
 from tilth.estimator import kernel_digest
 from tilth.estimator.kernel_digest import OPTION, called
@@ -123,15 +124,19 @@ class Kernel(Generic[P, R]):
                 options: dict[str, Any] = OPTIONS | own | written.__dict__.get(OPTION, {})
                 return numba.njit(**options)(copy)
 
+            collecting = gc.isenabled()
+            gc.disable()  # the compiler's objects are many and stay: to look through them takes a sixth of it
             try:
-                linked = _linked(self.function, {}, finish)
+                linked: Any = _linked(self.function, {}, finish)
                 linked.compile(tuple(map(numba.typeof, args)))
             except Exception as error:  # any failure of the compiler: the equations can still be interpreted
                 self.how = f"interpreted: {type(error).__name__} {str(error)[:200]}"
-                continue
-            self.how = how
-            compiled: Callable[P, R] = linked
-            return compiled
+            else:
+                self.how = how
+                return cast(Callable[P, R], linked)
+            finally:
+                if collecting:
+                    gc.enable()
         if not getattr(config, "DISABLE_JIT", 0):  # where nobody has asked for it
             warnings.warn(f"{self.function.__qualname__} is {self.how}", InterpretedWarning, stacklevel=3)
         return self.interpreted()
