@@ -19,11 +19,13 @@ not by a kernel around its loop. A function with many callers, or a short one, c
 type of an argument is compiled for, and to numba the constant 0 is one of its own.
 """
 
+import gc
 import importlib.util
 import warnings
 from collections.abc import Callable
+from hashlib import sha256
 from types import FunctionType
-from typing import Any, Final, Generic, ParamSpec, TypeVar
+from typing import Any, Final, Generic, ParamSpec, TypeVar, cast
 
 from tilth.estimator import kernel_digest
 from tilth.estimator.kernel_digest import OPTION, called
@@ -98,11 +100,7 @@ class Kernel(Generic[P, R]):
     def _compile(self, args: tuple[Any, ...]) -> Callable[P, R]:
         """The function compiled for arguments of these types, else interpreted.
 
-        The code is stored on disk if a folder for it can be written. Raises TypeError of `check_arguments`,
-        also where numba is absent, so that a mistake in a kernel shows on every computer.
-        """
-        known: kernel_digest.Known = {}
-        kernel_digest.check_arguments(self.function, args, known)
+        The code is stored on disk if a folder for it can be written."""
         try:
             import numba
             import numpy
@@ -113,26 +111,32 @@ class Kernel(Generic[P, R]):
             self.how = f"interpreted: {error}"
             return self.interpreted()
         for_what = (kernel_store.choose(), numba.__version__, numpy.__version__, importlib.util.MAGIC_NUMBER)
-        versions = repr((*for_what, OPTIONS))
+        known: kernel_digest.Known = {}
+        given = kernel_digest.kinds(args, known)
         for how, keep in (("compiled and kept", True), ("compiled", False)):
 
             def finish(copy: FunctionType, written: FunctionType, keep: bool = keep) -> Any:
                 within = written is not self.function  # who calls it from Python calls another copy
-                digest = kernel_digest.digest(written, known, f"{versions} {within}")
-                copy.__qualname__ = f"{written.__qualname__}-{digest}"
+                read = kernel_digest.digest(written, known)
+                told = repr((read, within or given, for_what, OPTIONS))
+                copy.__qualname__ = f"{written.__qualname__}-{sha256(told.encode()).hexdigest()[:16]}"
                 own = {"cache": keep, "no_cpython_wrapper": within}
                 options: dict[str, Any] = OPTIONS | own | written.__dict__.get(OPTION, {})
                 return numba.njit(**options)(copy)
 
+            collecting = gc.isenabled()
+            gc.disable()  # the compiler's objects are many and stay: to look through them takes a sixth of it
             try:
-                linked = _linked(self.function, {}, finish)
+                linked: Any = _linked(self.function, {}, finish)
                 linked.compile(tuple(map(numba.typeof, args)))
             except Exception as error:  # any failure of the compiler: the equations can still be interpreted
                 self.how = f"interpreted: {type(error).__name__} {str(error)[:200]}"
-                continue
-            self.how = how
-            compiled: Callable[P, R] = linked
-            return compiled
+            else:
+                self.how = how
+                return cast(Callable[P, R], linked)
+            finally:
+                if collecting:
+                    gc.enable()
         if not getattr(config, "DISABLE_JIT", 0):  # where nobody has asked for it
             warnings.warn(f"{self.function.__qualname__} is {self.how}", InterpretedWarning, stacklevel=3)
         return self.interpreted()

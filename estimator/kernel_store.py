@@ -9,7 +9,6 @@ for, so that what is found by its name is never stale, wherever it was built.
 
 import functools
 import platform
-from collections.abc import Collection
 from importlib import resources
 from typing import Any, Final
 
@@ -22,6 +21,10 @@ BASELINES: Final = {
     "aarch64": ("generic", ()),  # armv8-a
 }
 """Processor family -> what LLVM calls its baseline, and the features that make it up."""
+LACKING: Final = (
+    "this processor ({}) lacks {}: a package's kernels are not for it, so they are compiled for it once, "
+    "at the installation or the first start"
+)
 PACKAGED: Final = resources.files("tilth.estimator") / "kernels"
 _asked: Final[set[str]] = set()  # names of functions, with their digests, that this process looked for
 
@@ -62,23 +65,18 @@ def choose() -> str:
     if not settings.CACHE_LOCATOR_CLASSES:
         places = f"{__name__}.Packaged", "UserProvidedCacheLocator", f"{__name__}.InPackage"
         settings.CACHE_LOCATOR_CLASSES = ",".join((*places, "UserWideCacheLocator"))
-    if settings.CPU_NAME is None and has_baseline():
+    if settings.CPU_NAME is None and not lacking():
         settings.CPU_NAME, settings.CPU_FEATURES = BASELINES[platform.machine()][0], ""
     return target()
 
 
-def has_baseline() -> bool:
-    """Whether this processor runs what is compiled for its family."""
-    return not lacking()
-
-
 def lacking() -> str:
-    """The instructions of its family's baseline that this processor lacks; "a baseline" if it has none."""
-    if platform.machine() not in BASELINES:
-        return "a baseline"
-    _, needed = BASELINES[platform.machine()]
-    there = get_host_cpu_features()
-    return ", ".join(feature for feature in needed if not there.get(feature, False))
+    """What this processor lacks of its family's baseline, and what follows from it; "" where it has all."""
+    family, there = platform.machine(), get_host_cpu_features()
+    if family not in BASELINES:
+        return LACKING.format(family, "a baseline")
+    lacks = [feature for feature in BASELINES[family][1] if not there.get(feature, False)]
+    return LACKING.format(family, ", ".join(lacks)) if lacks else ""
 
 
 def target() -> str:
@@ -88,12 +86,10 @@ def target() -> str:
     return name
 
 
-def others(names: Collection[str]) -> list[str]:
-    """Of names of files, those that this process has no use for: kernels of the sources as they were once, of
-    other processors, of other Pythons."""
-    return [
-        name for name in names if f"-{target()}." not in name or not any(asked in name for asked in _asked)
-    ]
+def is_used(name: str) -> bool:
+    """Whether this process has a use for a file of the package's kernels: not for one of sources as they were
+    once, of other processors, of other Pythons."""
+    return f"-{target()}." in name and any(asked in name for asked in _asked)
 
 
 @functools.cache

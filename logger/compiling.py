@@ -1,19 +1,25 @@
-"""Compiles the kernels that the estimators of a machine call, and finds the folder that caches them.
+"""Compiles the kernels that the estimators of a machine call, and keeps them in a folder.
+
+Compiling takes a minute and would hold up a loop for seconds at a time. So the recorder has a process do it,
+into the folder where kernels are kept, and a thread then only loads them (`Preparing`). Where they cannot be
+kept a folder is lent for this run; where there is not even that, or the process fails, the thread compiles.
 
 `python -m tilth.logger.compiling MACHINE.toml` does it in advance, what fits call too, for whoever runs it:
 the installer, and the build of a wheel, whose word "only" has all other kernels removed from the package.
-With "-" it is the recorder's own process (logger/preparing.py): the machine comes in a line, what goes out
-are lines that say how far it is. Each has a second process beside it ("fits"), on another core: what one has
-compiled the other finds on disk. That one begins with the slopes by parameters and with what only rows need,
-so that they don't both compile the rig's motion.
+With "-" it is the recorder's process: the machine comes in a line, what goes out are lines that say how far
+it is. Each has a second process beside it, on another core: what one has compiled the other finds on disk.
+That one begins with the slopes by parameters and with what only rows need, so that they don't both compile
+the rig's motion.
 """
 
 import contextlib
+import math
 import os
-import platform
 import stat
-import subprocess
 import sys
+import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
@@ -22,11 +28,18 @@ from typing import Any, Final, NamedTuple
 from tilth.estimator.compiled import Kernel
 from tilth.estimator.methods.estimators import rows_for
 from tilth.logger.child import packed, unpacked, words_of
-from tilth.logger.fit_worker import in_order, rehearse
+from tilth.logger.fit_worker import rehearsals, rehearse
+from tilth.logger.job import Job, JobEnded
 from tilth.logger.machine_file import read_machine
+from tilth.logger.priority import COMPILING as BEHIND
+from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine, MachineError
+from tilth.schemas.notices import NoticeCode, Report, notice
 
 TEXT: Final = "compiling kernels, once per machine: half a minute, a few minutes on a small computer"
+LOADING: Final = "loading kernels"
+COMPILING: Final = "compiling kernels, once per machine"
+ANEW: Final = "compiling kernels, which cannot be kept here"
 NO_CACHE_FOLDER: Final = (
     "compiled kernels cannot be kept, since neither the program's folder nor the user's cache folder can be "
     "written: every start compiles them anew; set NUMBA_CACHE_DIR to a folder that this user may write"
@@ -35,15 +48,13 @@ UNTRUSTED: Final = (
     "can be written by others, so compiled kernels are not taken from there: every start compiles them anew; "
     "empty that folder, and let nobody but this user write it (chmod go-w)"
 )
-LACKING: Final = (
-    "this processor ({}) lacks {}: a package's kernels are not for it, so they are compiled for it once, "
-    "at the installation or the first start"
-)
 SECONDS: Final = {"over_ticks": 10.0, "motion_by_parameter": 1.5, "motion_by_state": 2.0, "motion": 0.8}
 """How long functions that take long take to compile, of a processor that does other work too. Slopes by
 parameters take longer, but the second process has them ready."""
 OTHERS_S: Final = 0.2
 MOST: Final = 0.99  # share that is said to be done while anything is still compiled
+SURE: Final = 0.1  # share of the work that must be done before the rest is foretold
+LEAVE_S: Final = 2.0  # how long the end of a run waits for it
 
 
 class KernelsDone(NamedTuple):
@@ -58,7 +69,7 @@ Progress = Callable[[KernelsDone], None]
 
 
 class NoCacheFolder(Exception):
-    """There is no place for compiled kernels; one sentence that says what to set."""
+    """There is no place for compiled kernels; a sentence that says what to do."""
 
 
 class CompilingStopped(BaseException):
@@ -73,12 +84,6 @@ def kernels_of(machine: Machine) -> list[Kernel[..., Any]]:
 def is_prepared(machine: Machine) -> bool:
     """Whether all of it is in this process already."""
     return all(kernel.called for kernel in kernels_of(machine))
-
-
-def interpreted(machine: Machine) -> str:
-    """Which kernels the compiler refused, and why; "" where none."""
-    kernels = kernels_of(machine) if _compiles() else []
-    return "; ".join(f"{k.function.__name__} is {k.how}" for k in kernels if k.how.startswith("interpreted"))
 
 
 def load(machine: Machine) -> bool:
@@ -107,41 +112,35 @@ def prepare(machine: Machine, progress: Progress) -> None:
     class Compilations(event.Listener):
         """numba's; loading from disk is none."""
 
-        of_kernels: tuple[tuple[Kernel[..., Any], set[FunctionType]], ...] = ()  # once: it takes a while
-        uncompiled: set[FunctionType] | None = None  # the second kernel to call one finds it kept
-        work, functions = 0.0, 0
+        of_kernels: tuple[tuple[Kernel[..., Any], list[FunctionType]], ...] = ()  # once: it takes a while
+        first, left = frozenset[FunctionType](), frozenset[FunctionType]()
 
         def on_start(self, event: Any) -> None:
-            if self.uncompiled is None:
-                self.of_kernels = tuple((one, set(one.functions())) for one in kernels_of(machine))
-                self.uncompiled = self.of_waiting()
-                self.work, self.functions = _work(self.uncompiled), len(self.uncompiled)
-                progress(KernelsDone(0, self.functions, 0.0))
+            if not self.of_kernels:
+                self.of_kernels = tuple((one, one.functions()) for one in kernels_of(machine))
+                self.first = self.left = self.waiting()
+                progress(KernelsDone(0, len(self.first), 0.0))
 
         def on_end(self, event: Any) -> None:
-            code, waiting = event.data["dispatcher"].py_func.__code__, self.uncompiled or set()
-            ended = next((one for one in waiting if one.__code__ is code), None)
+            code = event.data["dispatcher"].py_func.__code__
+            ended = next((one for one in self.left if one.__code__ is code), None)
             if ended is None:
                 return  # one of numba's own, or one for other types
-            # Without those of kernels that were found on disk.
-            self.uncompiled = (waiting - {ended}) & self.of_waiting()
-            share = min(1.0 - _work(self.uncompiled) / self.work, MOST)
-            progress(KernelsDone(self.functions - len(self.uncompiled), self.functions, share))
+            # Without those of kernels that were found on disk; the second kernel to call one finds it kept.
+            self.left = (self.left - {ended}) & self.waiting()
+            share = min(1.0 - _work(self.left) / _work(self.first), MOST)
+            progress(KernelsDone(len(self.first) - len(self.left), len(self.first), share))
 
-        def of_waiting(self) -> set[FunctionType]:
-            """Functions of kernels that were not called yet, and of what they call."""
-            return set().union(*(found for kernel, found in self.of_kernels if not kernel.called))
+        def waiting(self) -> frozenset[FunctionType]:
+            """Those of kernels that were not called yet, and of what they call."""
+            return frozenset().union(*(found for kernel, found in self.of_kernels if not kernel.called))
 
-    listener = Compilations()
-    event.register("numba:compile", listener)
-    try:
+    with event.install_listener("numba:compile", Compilations()):
         for row in rows_for(machine):
             row.prepare(machine)
-    finally:
-        event.unregister("numba:compile", listener)
 
 
-def _work(functions: set[FunctionType]) -> float:
+def _work(functions: frozenset[FunctionType]) -> float:
     """About how long they take to compile, as SECONDS."""
     return sum(SECONDS.get(function.__name__, OTHERS_S) for function in functions)
 
@@ -156,27 +155,21 @@ def _compiles() -> bool:
 
 
 def cache_folder(machine: Machine) -> str:
-    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises
-    NoCacheFolder."""
+    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises NoCacheFolder."""
     if not _compiles():
         return ""
     from numba.core.caching import FunctionCache
 
+    from tilth.estimator import kernel_store
+
+    if refused := untrusted():  # before anything in it is looked at
+        raise NoCacheFolder(refused)
+    kernel_store.choose()
     kernels = kernels_of(machine)
     try:
         return str(FunctionCache(kernels[0].function).cache_path) if kernels else ""
     except RuntimeError:
         raise NoCacheFolder(NO_CACHE_FOLDER) from None
-
-
-def lacking() -> str:
-    """Why kernels of a package are not used on this processor; "" where they are."""
-    if not _compiles():
-        return ""
-    from tilth.estimator import kernel_store
-
-    lacks = kernel_store.lacking()
-    return lacks and LACKING.format(platform.machine(), lacks)
 
 
 def untrusted() -> str:
@@ -197,74 +190,175 @@ def untrusted() -> str:
     return ""
 
 
-@contextlib.contextmanager
-def keeping_in(folder: str) -> Iterator[None]:
-    """Keep kernels there instead, in this process and in those that it starts meanwhile."""
+class Preparing:
+    """Makes ready what the estimators call, while frames are recorded. Begins at once. `ready` is True from
+    when the estimators can be called without waiting."""
+
+    def __init__(self, machine: Machine, report: Report) -> None:
+        """report: takes kind and text of an event, called from a thread."""
+        self.ready = is_prepared(machine)
+        self.seconds = 0.0  # of compiling
+        self._doing = "" if self.ready else LOADING
+        self._machine = machine
+        self._report = report
+        self._done = KernelsDone(0, 0, 0.0)
+        self._began_s = 0.0  # monotonic
+        self._foretold = (0.0, math.inf)  # when a kernel was done last, monotonic, and what was left then, s
+        self._job: Job | None = None
+        self._closing = False
+        self._lent = contextlib.ExitStack()
+        self._thread = threading.Thread(target=self._work, name="tilth-preparing", daemon=True)
+        if not self.ready:
+            self._thread.start()
+
+    @property
+    def text(self) -> str:
+        """What is being done, in a person's words; "" where nothing is."""
+        done, doing = self._done, self._doing
+        return f"{doing}: {done.functions} of {done.of} done" if done.of and doing else doing
+
+    @property
+    def remaining_s(self) -> float | None:
+        """About how long it still takes, less each time it is asked for; None where not known."""
+        at_s, left_s = self._foretold
+        if self.ready or math.isinf(left_s):
+            return None
+        # A second less each second at first; where a kernel takes longer than foretold, ever more slowly.
+        return left_s * left_s / max(left_s + time.monotonic() - at_s, 1e-9)
+
+    def close(self) -> None:
+        self._closing = True
+        if self._job is not None:
+            self._job.kill()
+        if self._thread.ident is not None:
+            self._thread.join(LEAVE_S)
+        self._lent.close()
+
+    # What follows runs in the thread.
+
+    def _work(self) -> None:
+        try:
+            not_kept = ""
+            try:
+                cache_folder(self._machine)
+            except NoCacheFolder as why:
+                not_kept = str(why)
+                self._lend()
+            if not load(self._machine):
+                self._compile(not_kept)
+            kernels = kernels_of(self._machine) if _compiles() else []
+            refused = [(k.function.__name__, k.how) for k in kernels if k.how.startswith("interpreted")]
+            why_not = "; ".join(f"{name} is {how}" for name, how in refused)
+        except CompilingStopped:
+            return
+        except Exception as error:  # whatever it is, the fold has a guard of its own
+            why_not = f"{type(error).__name__}: {error}"
+        if why_not:
+            self._say(NoticeCode.KERNELS_REFUSED, why_not)
+        self._doing, self.ready = "", True
+
+    def _say(self, code: NoticeCode, why: str) -> None:
+        self._report(EventKind.COMPILED, notice(code, why=why))
+
+    def _lend(self) -> None:
+        """Lend a folder for this run; without one the kernels are compiled here."""
+        folder = os.devnull  # where nothing can be kept, nor found
+        with contextlib.suppress(OSError):
+            folder = self._lent.enter_context(
+                tempfile.TemporaryDirectory(prefix="tilth-kernels-", ignore_cleanup_errors=True)
+            )
+        self._lent.callback(_keep_in, _keep_in(folder))
+
+    def _compile(self, not_kept: str) -> None:
+        """not_kept: why what is compiled is not kept, or ""."""
+        began_s = time.monotonic()
+        self._doing = ANEW if not_kept else COMPILING
+        if not_kept:
+            self._say(NoticeCode.CACHE_REFUSED, not_kept)
+        code = NoticeCode.COMPILING_ANEW if not_kept else NoticeCode.COMPILING
+        self._report(EventKind.COMPILED, notice(code))
+        try:
+            words = words_of("tilth.logger.compiling", "-")
+            self._job = Job(words, [packed(self._machine)], niceness=BEHIND)
+            with contextlib.closing(self._job):
+                if self._closing:  # meanwhile, so that `close` has not seen it
+                    raise CompilingStopped
+                if why_not := self._job.not_behind:
+                    self._say(NoticeCode.COMPILES_AT_OWN_PRIORITY, why_not)
+                for line in self._job.lines():
+                    functions, of, share = line.split()
+                    self._progress(KernelsDone(int(functions), int(of), float(share)))
+        except (JobEnded, ValueError) as why:
+            if not self._closing:
+                self._say(NoticeCode.COMPILER_FAILED, str(why))
+        prepare(self._machine, self._progress)  # loads, unless the process could not
+        self.seconds = time.monotonic() - began_s
+
+    def _progress(self, done: KernelsDone) -> None:
+        if self._closing:
+            raise CompilingStopped
+        now_s = time.monotonic()
+        if not done.functions:
+            self._began_s, self._foretold = now_s, (now_s, math.inf)
+        elif done.share >= SURE:
+            said_s = self.remaining_s
+            left_s = (now_s - self._began_s) * (1.0 / done.share - 1.0)
+            self._foretold = (now_s, min(left_s, left_s if said_s is None else said_s))
+        self._done = done
+
+
+def _keep_in(folder: str) -> str:
+    """Keep kernels there from now on, in this process and in those that it starts. Returns where they were
+    kept before, "" if numba chose."""
     from numba.core import config
 
     settings: Any = config  # numba sets its attributes itself
-    before = settings.CACHE_DIR  # that of the environment; "" is none, to numba too
+    before: str = settings.CACHE_DIR
     os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = folder
-    try:
-        yield
-    finally:
-        os.environ["NUMBA_CACHE_DIR"] = settings.CACHE_DIR = before
+    return before
 
 
 def main(words: list[str]) -> int:
     """Of one machine file; 2 where there is none that can be read."""
-    if words == ["fits"]:
-        machine = unpacked(sys.stdin.buffer.readline())
-        for fitting in in_order(machine):
-            fitting.rehearse_alone()
-        for fitting in in_order(machine):
-            rehearse(fitting, machine)
-        return 0
-    if words == ["-"]:
-        machine = unpacked(sys.stdin.buffer.readline())
-        with _fits_beside(machine):
-            prepare(machine, lambda done: _print(" ".join(map(str, done))))
-        return 0
+    told = words == ["-"]
     try:
-        if words[1:] not in ([], ["only"]) or not words:
+        if not told and (not words or words[1:] not in ([], ["only"])):
             raise MachineError("usage: python -m tilth.logger.compiling MACHINE.toml [only]")
-        machine = read_machine(Path(words[0])).machine
+        machine = unpacked(sys.stdin.buffer.readline()) if told else read_machine(Path(words[0])).machine
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    if why_anew := lacking():
+    if not _compiles():
+        return 0
+    if told:
+        with _fits_beside(machine):
+            prepare(machine, lambda done: _print(" ".join(map(str, done))))
+        return 0
+    from tilth.estimator import kernel_store
+
+    if why_anew := kernel_store.lacking():
         _print(why_anew)
     with _fits_beside(machine):
         prepare(machine, lambda done: None if done.share else _print(TEXT))
-    for fitting in in_order(machine) if _compiles() else ():
-        rehearse(fitting, machine)
-    if words[1:]:
-        _remove_others()
+    uncompiled = rehearsals(machine)
+    while uncompiled:
+        rehearse(uncompiled)
+    for path in list(Path(str(kernel_store.PACKAGED)).glob("*.nb[ic]")) if words[1:] else ():
+        if not kernel_store.is_used(path.name):
+            path.unlink()
     return 0
-
-
-def _remove_others() -> None:
-    """The package then holds what this process has used, and nothing else."""
-    from tilth.estimator import kernel_store
-
-    folder = Path(str(kernel_store.PACKAGED))
-    for name in kernel_store.others([path.name for path in folder.glob("*.nb[ic]")]):
-        (folder / name).unlink()
 
 
 @contextlib.contextmanager
 def _fits_beside(machine: Machine) -> Iterator[None]:
-    """A second process compiles what fits call, if there is a core for it. What it can't do is done later."""
-    if not _compiles() or len(os.sched_getaffinity(0)) < 2:
+    """The process that makes fits compiles what it needs, if there is a core for it. What it can't do is done
+    later."""
+    if len(os.sched_getaffinity(0)) < 2:
         yield
         return
-    words = words_of("tilth.logger.compiling", "fits")  # it ends with this process
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as beside:
-        assert beside.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it ended at once
-            beside.stdin.write(packed(machine) + b"\n")
-            beside.stdin.flush()
+    with contextlib.closing(Job(words_of("tilth.logger.fit_worker"), [packed(machine)])) as beside:
         yield
+        beside.end()
 
 
 def _print(text: str) -> None:

@@ -10,8 +10,9 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
+from functools import partial
 from typing import IO, Any, Final, get_type_hints
 
 import numpy as np
@@ -77,16 +78,22 @@ def _parts(value: Any) -> Iterator[bytes]:
         yield repr(value).encode()
 
 
-def rehearse(fitting: Fitting, machine: Machine) -> None:
-    """Compile what fits of a method need."""
-    with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
-        fitting.rehearse(machine)
-
-
 def in_order(machine: Machine) -> list[Fitting]:
     """What is to be compiled, first what is asked for soonest: rows tell nothing before two minutes."""
     fitted = [row.fitting for row in rows_for(machine) if row.fitting is not None]
     return sorted(fitted, key=lambda fitting: fitting.latency_ns)
+
+
+def rehearse(uncompiled: list[Callable[[], None]]) -> None:
+    """Compile the first of what is left of `rehearsals`."""
+    with contextlib.suppress(Exception):  # what fails here fails at the fit, where it is told
+        uncompiled.pop(0)()
+
+
+def rehearsals(machine: Machine) -> list[Callable[[], None]]:
+    """What compiles all that fits need: first what no other process begins with."""
+    fits = in_order(machine)
+    return [*(one.rehearse_alone for one in fits), *(partial(one.rehearse, machine) for one in fits)]
 
 
 def _listen(requests: IO[bytes], waiting: queue.SimpleQueue[bytes | None]) -> None:
@@ -96,25 +103,27 @@ def _listen(requests: IO[bytes], waiting: queue.SimpleQueue[bytes | None]) -> No
 
 
 def main() -> None:
-    """Answer jobs from stdin on stdout until stdin ends."""
+    """Answer jobs from stdin on stdout until stdin ends and all is compiled."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not stand among the answers
     requests = os.fdopen(os.dup(0), "rb")
     machine = unpacked(requests.readline())
     waiting = queue.SimpleQueue[bytes | None]()
     threading.Thread(target=_listen, args=(requests, waiting), daemon=True).start()
-    uncompiled = in_order(machine)
+    uncompiled = rehearsals(machine)
     while True:
         while uncompiled and waiting.empty():  # a fit that is asked for goes before
-            rehearse(uncompiled.pop(0), machine)
+            rehearse(uncompiled)
         if (request := waiting.get()) is None:
-            return
+            break
         ticket, method, job = unpacked(request)
         started = time.perf_counter()
         made, error = make(machine, method, job)
         answer: Answer = (ticket, made, error, time.perf_counter() - started)
         answers.write(packed(answer) + b"\n")
         answers.flush()
+    while uncompiled:
+        rehearse(uncompiled)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
 import gc
 
+from tilth.logger.compiling import Preparing
 from tilth.logger.fitting import Worker
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.preparing import Preparing
 from tilth.schemas.flow import EventKind
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import NoticeCode, Report, notice

@@ -212,16 +212,17 @@ def _synchronised() -> bool | None:
 
 def _kernels(machine: Machine) -> Iterator[CheckFinding]:
     try:
-        if why_not := compiling.untrusted():
-            raise compiling.NoCacheFolder(why_not)
         folder = compiling.cache_folder(machine)
     except compiling.NoCacheFolder as why:
         yield CheckFinding("kernels", Level.PROBLEM, str(why))
-    else:
-        if folder:
-            yield CheckFinding("kernels", Level.OK, f"compiled once, kept in {folder}")
-        if why_anew := compiling.lacking():
-            yield CheckFinding("kernels", Level.NOTE, why_anew)
+        return
+    if not folder:
+        return
+    yield CheckFinding("kernels", Level.OK, f"compiled once, kept in {folder}")
+    from tilth.estimator import kernel_store  # numba's compiler, which takes a second
+
+    if why_anew := kernel_store.lacking():
+        yield CheckFinding("kernels", Level.NOTE, why_anew)
 
 
 def _zenoh(machine: Machine) -> CheckFinding:

@@ -214,12 +214,16 @@ def test_variables_of_the_function_around_it_are_refused_at_once() -> None:
         Kernel(scaled)
 
 
-def test_a_named_tuple_that_no_annotation_names_is_refused() -> None:
-    unnamed: Kernel[Any, Any] = Kernel(_function("def f(x):\n    return x.first"))
-    with pytest.raises(TypeError, match="is given Wrong: name it in an annotation"):
-        unnamed(Wrong(1.0))
-    named: Kernel[Any, Any] = Kernel(_function("def f(x: Wrong):\n    return x.first", Wrong=Wrong))
-    assert named(Wrong(1.0)) == 1.0
+def test_fields_that_no_annotation_names_are_part_of_the_kernels_name() -> None:
+    """Those of the arguments, and of what is in them."""
+
+    class Wrong(NamedTuple):
+        second: float
+
+    Wrong.__qualname__ = Wrong.__name__
+    Wrong.__module__ = globals()["Wrong"].__module__
+    kinds = [kernel_digest.kinds((1.0, (one(1.0), 2)), {}) for one in (globals()["Wrong"], Wrong)]
+    assert kinds[0] != kinds[1] and kinds[0] == kinds[1].replace("second", "first")
 
 
 class Sides(Wrong, Enum):
@@ -253,14 +257,23 @@ def test_each_inner_kernel_names_the_named_tuples_that_it_is_given() -> None:
     assert [name for name, kinds in given.items() if Any in kinds] == [loop]
 
 
-def digest(function: Callable[..., Any], versions: str = "") -> str:
+def digest(function: Callable[..., Any]) -> str:
     assert isinstance(function, FunctionType)
-    return kernel_digest.digest(function, {}, versions)
+    return kernel_digest.digest(function, {})
 
 
-def test_the_digest_follows_the_versions_of_other_packages() -> None:
-    function = _function("def f(x):\n    return math.sin(np.pi * x) + np.linalg.norm(x)", math=math, np=np)
-    assert digest(function) == digest(function) != digest(function, "of a year later")
+def test_the_name_follows_the_versions_of_other_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    function = _function("def f(x):\n    return math.sin(np.pi * x) + np.sum(x)", math=math, np=np)
+
+    def name() -> str:
+        kernel: Kernel[[float], float] = Kernel(function)
+        kernel(1.0)
+        return str(kernel._run.py_func.__qualname__)
+
+    before = name()
+    assert name() == before
+    monkeypatch.setattr(np, "__version__", "of a year later")
+    assert name() != before
 
 
 def test_the_digest_follows_a_constant_three_calls_down(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,8 +24,8 @@ from tilth.cli import main
 from tilth.estimator.compiled import InterpretedWarning, Kernel
 from tilth.estimator.methods.estimators import ROW
 from tilth.logger import compiling
+from tilth.logger.compiling import Preparing
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.preparing import Preparing
 from tilth.schemas.channels import READY_TOPIC
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice
@@ -41,7 +41,7 @@ from drives import LEARNING, QUIET
 from tilth.estimator.compiled import InterpretedWarning, Kernel
 from tilth.logger.compiling import is_prepared, kernels_of, prepare
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.logger.preparing import Preparing
+from tilth.logger.compiling import Preparing
 from tilth.simulator.scenario import Fault
 from tilth.simulator.traffic import simulate
 from tilth.schemas.flow import Mount
@@ -159,7 +159,7 @@ def test_the_time_left_never_grows_nor_stands_while_a_function_takes_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr("tilth.logger.preparing.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("tilth.logger.compiling.time.monotonic", lambda: now[0])
     monkeypatch.setattr(compiling, "is_prepared", lambda machine: True)
     preparing = Preparing(MACHINE, lambda kind, told: None)
     preparing.ready, preparing._doing = False, "compiling"
@@ -351,7 +351,7 @@ def test_nor_one_that_belongs_to_another(place: str, kernels: Path) -> None:
 ELSEWHERE = """
 import os, time
 from logs import MACHINE
-from tilth.logger.preparing import Preparing
+from tilth.logger.compiling import Preparing
 from tilth.schemas.sentences import notice_sentence
 said = []
 preparing = Preparing(MACHINE, lambda kind, told: said.append(notice_sentence(told)))

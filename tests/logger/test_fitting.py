@@ -22,7 +22,7 @@ from tilth.estimator.methods.estimators import ESTIMATORS
 from tilth.estimator.record.windows import AWAITED, OPEN
 from tilth.estimator.snapshot import NotRestorable
 from tilth.estimator.state_json import to_json_data
-from tilth.logger.fit_worker import as_text, in_order, job_sha256
+from tilth.logger.fit_worker import as_text, in_order, job_sha256, rehearsals
 from tilth.logger.fitting import GIVEN_UP, LATE, UNDECIDED, InPlace, ReplayedFits, Worker
 from tilth.logger.guarded_fold import GIVE_UP_NS, GuardedFold
 from tilth.logger.job import OUT_OF_MEMORY
@@ -142,7 +142,9 @@ def test_the_process_makes_what_is_made_here(worker: Worker) -> None:
 
 def test_rows_are_compiled_last() -> None:
     """They tell nothing before two minutes; turns and the method of the dissertation are wanted sooner."""
-    assert [fitting.fit for fitting in in_order(MACHINE)] == [pem.fit, two_step.fit, rows.fit]
+    fits = in_order(MACHINE)
+    assert [fitting.fit for fitting in fits] == [pem.fit, two_step.fit, rows.fit]
+    assert rehearsals(MACHINE)[: len(fits)] == [fitting.rehearse_alone for fitting in fits]
 
 
 def test_what_is_not_ready_is_late_and_is_not_kept_for_another(worker: Worker) -> None:

@@ -18,8 +18,8 @@ from tilth.logger.machine_file import read_machine
 machine, _ = read_machine(Path(sys.argv[1]))
 began = time.process_time()
 ready = compiling.load(machine)
-for fitting in fit_worker.in_order(machine) if ready else ():
-    fit_worker.rehearse(fitting, machine)
+for rehearse in fit_worker.rehearsals(machine) if ready else ():
+    rehearse()
 import tilth.estimator.kernel_store as store
 print(json.dumps([ready, Compilations.compiled, str(store.PACKAGED), store.target()]))
 """

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tilth.logger import priority
 from tilth.logger.fitting import Worker
-from tilth.logger.preparing import Preparing
+from tilth.logger.compiling import Preparing
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.notices import Notice
 from tilth.schemas.sentences import notice_sentence
