@@ -167,8 +167,8 @@ def over_mass(estimate: Estimate, truth: float) -> tuple[float, float, float]:
 
 def _sd(estimate: Estimate, k: int) -> float:
     """Of the logarithm of a stiffness over the mass."""
-    known = len(estimate.per_mass) > k
-    value, sd = (estimate.per_mass[k], estimate.per_mass_sd[k]) if known else (None, None)
+    told = dict(enumerate(zip(estimate.per_mass, estimate.per_mass_sd, strict=False)))
+    value, sd = told.get(k, (None, None))
     return math.nan if value is None or sd is None else sd / value
 
 

@@ -10,20 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from tilth.estimator.diagnosis.widening import OfLoad, widened
-from tilth.estimator.driving import DRIVING
+from tilth.estimator.methods import pem
 from tilth.estimator.methods.carrying import open_up, take_load
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.models.load import LOAD, aged, another_variance, laden, of_nobody, of_scale, walked
 from tilth.estimator.results.method_state import SixState
 from tilth.estimator.state import ScaleWord, State
-from tilth.estimator.ties import exceeds
 from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Pose, Weight
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection
 from tilth.schemas.spread import plus_minus
-from tilth.schemas.tolerances import MADE
 
 
 def use(state: State, carried: Carried) -> None:
@@ -91,12 +89,11 @@ def walk(state: State, t_ns: int, pose: Pose) -> None:
 
 def _has_stood(state: State, pose: Pose) -> bool:
     """Whether the rig drives again after a stop in which nobody has said what it carries since."""
-    speed = pose.tractor.forward_velocity
-    if speed is None or not exceeds(abs(speed), DRIVING.moving, MADE):
+    if not pose.direction:
         return False
     before, state.drove_ns = state.drove_ns, pose.t_ns
     assert state.carried is not None
-    return pose.t_ns - before >= LOAD.stop_ns and state.carried.t_ns <= before
+    return before > 0 and pose.t_ns - before >= LOAD.stop_ns and state.carried.t_ns <= before
 
 
 def _after_stop(state: State) -> None:
@@ -107,7 +104,15 @@ def _after_stop(state: State) -> None:
         method_state = state.estimators[row.method]
         if row.fitting is not None and method_state.job is not None:
             row.clock_stepped(method_state, 0)
+    _be_open(state)
+
+
+def _be_open(state: State) -> None:
+    """The load may be any other, and the first turn is to show it."""
     _open_up(state, another_variance(state.empty))
+    fitted = state.estimators.get(pem.METHOD)
+    if fitted is not None:
+        fitted.soon = True
 
 
 def _open_up(state: State, variance: float) -> None:
@@ -120,7 +125,7 @@ def changed(state: State, t_ns: int) -> None:
     carried = of_nobody(state.empty, t_ns)
     assert carried is not None  # only an implement that carries something has such events
     use(state, carried)
-    _open_up(state, another_variance(state.empty))
+    _be_open(state)
 
 
 def in_doubt(state: State, events: list[tuple[str, Notice]]) -> list[tuple[str, Notice]]:
@@ -163,7 +168,7 @@ def later(machine: Machine, told: Carried | None, elapsed_s: float, t_ns: int) -
 def resumed(state: State, elapsed_s: float) -> None:
     """What a run before has learned is there, so much later: the rig has stood in between."""
     if state.carried is not None and elapsed_s * 1e9 >= LOAD.stop_ns:
-        _open_up(state, another_variance(state.empty))
+        _be_open(state)
 
 
 def _before_a_stop(machine: Machine, told: Carried) -> Carried:
