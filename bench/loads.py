@@ -5,8 +5,10 @@
 Each drive of 110 s turns to and fro, with soil, rig and sensors by its seed; at 60 s something changes,
 over 5 s. Rows: `told`, unloading from 8.5 t to 2.1 t that the operator says, n = 0.7; `unsaid`, the same
 where nobody says the load at any time; `soil`, all stiffnesses × 0.6 with a load that nobody says; `linear`,
-as `unsaid` with n = 1. One line for each drive: events of load and of soil after the change, how far what is
-recommended for C_ai over the mass is off 20 s after the change and at the end, in published sds, and the
+as `unsaid` with n = 1; `stop`, as `unsaid`, but unloaded within a stop of 30 s; `pause` and `gate`, a stop of
+30 and of 8 s in which nothing changes. One line for each drive: events of load and of soil after the change,
+how far what is recommended for C_ai over the mass is off just before the change, 20 s after it (after a stop,
+of driving) and at the end, in published sds, with the sds of C_af and C_ar over the tractor's mass; and the
 furthest of the numbers given for C_af, C_ar and C_ai. --fleet: rigs of the fleet with implements of 1 to 3 t,
 which carry three times as much, instead of the packaged rig; numbers of rigs that are not so light are left
 out.
@@ -44,11 +46,20 @@ SOFTER: Final = {"C_af": 0.6, "C_ar": 0.6, "C_ai": 0.6}
 class Case(NamedTuple):
     exponent: float
     unloads: bool = True
+    softens: bool = False
     said: bool = False
+    stop_s: float = 0.0
+
+    @property
+    def over_s(self) -> float:
+        """When the change is over, and the rig drives."""
+        return AT_S + (self.stop_s or TAKES_S)
 
 
 ROWS: Final = {
-    "told": Case(0.7, said=True), "unsaid": Case(0.7), "soil": Case(0.7, unloads=False), "linear": Case(1.0),
+    "told": Case(0.7, said=True), "unsaid": Case(0.7), "linear": Case(1.0),
+    "soil": Case(0.7, unloads=False, softens=True), "stop": Case(0.7, stop_s=30.0),
+    "pause": Case(0.7, unloads=False, stop_s=30.0), "gate": Case(0.7, unloads=False, stop_s=8.0),
 }  # fmt: skip
 
 
@@ -82,11 +93,14 @@ def scenario(case: Case) -> Scenario:
     loads = [LoadChange(0.0, FULL, exponent=case.exponent)]
     soil = FIELD
     if case.unloads:
-        loads.append(LoadChange(AT_S, 1.0 / FULL, TAKES_S, case.exponent))
-    else:
+        begins_s = AT_S + case.stop_s / 3.0  # when it has come to a stop
+        loads.append(LoadChange(begins_s, 1.0 / FULL, (case.stop_s or 3.0 * TAKES_S) / 3.0, case.exponent))
+    if case.softens:
         soil = Soil(FIELD.grip, FIELD.rolling, changes=(SoilChange(at_s=AT_S, over=TAKES_S, **SOFTER),))
+    seconds = SECONDS + case.stop_s
+    stops = ((AT_S, 4.0), (case.stop_s, 0.0), (seconds, 4.0)) if case.stop_s else 4.0
     return Scenario(
-        seconds=SECONDS, speed=4.0, steering=WHEELS, soil=soil, ground=UNEVEN, loads=tuple(loads),
+        seconds=seconds, speed=stops, steering=WHEELS, soil=soil, ground=UNEVEN, loads=tuple(loads),
         other_traffic=False
     )  # fmt: skip
 
@@ -105,10 +119,11 @@ def driven(case: Case, seed: int, rig: LoadedRig) -> str:
     machine = parse_machine(rig.believed + cart, plausible=False)
     truth = np.log(rig.parameters)
     truth[2] += case.exponent * math.log(FULL)
-    after = truth + ([0.0, 0.0, -case.exponent * math.log(FULL)] if case.unloads else math.log(0.6))
+    after = truth + (math.log(0.6) if case.softens else 0.0)
+    after[2] -= case.exponent * math.log(FULL) if case.unloads else 0.0
     state, out, said = fold.initial(machine), list[Publication](), list(words(case, rig.empty))
     start_ns = 0
-    for frame in simulate(rig.driven, seed, SECONDS, rig.scenario):
+    for frame in simulate(rig.driven, seed, rig.scenario.seconds, rig.scenario):
         start_ns = start_ns or frame.t_ns
         while said and (frame.t_ns - start_ns) * 1e-9 >= said[0][0]:
             word = said.pop(0)[1]
@@ -124,26 +139,37 @@ def driven(case: Case, seed: int, rig: LoadedRig) -> str:
     events = [e.notice.code for e in told if e.kind in (EventKind.LOAD, EventKind.SOIL_CHANGE)]
     found = ", ".join(code for code in events if code != "load_told") or "nothing"
     best = [(at_s(p), p.value) for p in out if p.topic == "/soil_tire" and isinstance(p.value, Estimate)]
-    mass = math.log(rig.empty * (1.0 if case.unloads else FULL))
-    later = [over_mass(e, after[2] - mass) for s, e in best if s > AT_S + LATER_S]
-    off = [number(e, k, after[k]) for s, e in best if s > AT_S + TAKES_S for k in range(3)]
+    full, mass = math.log(FULL * rig.empty), math.log(rig.empty * (1.0 if case.unloads else FULL))
+    later_s = LATER_S + (case.over_s if case.stop_s else AT_S)
+    shown = []
+    for name, begin_s, true in (
+        ("before", AT_S - 2.0, truth[2] - full),
+        ("after 20 s", later_s, after[2] - mass),
+        ("end", rig.scenario.seconds - 2.0, after[2] - mass),
+    ):
+        one = next(e for s, e in best if s > begin_s)
+        z, sd, error = over_mass(one, true)
+        others = ", ".join(f"{_sd(one, k):.0%}" for k in range(2))
+        shown.append(f"{name} {z:+.2f} sds of {sd:.0%}, {error:+.0%} off ({others})")
+    off = [number(e, k, after[k]) for s, e in best if s > case.over_s for k in range(3)]
     before = [number(e, k, truth[k]) for s, e in best if s < AT_S for k in range(3)]
     numbers = [z for z in (*before, *off) if math.isfinite(z)]
     worst = max(numbers, key=abs, default=math.nan)
-    (z20, sd20, err20), (z_end, sd_end, _) = later[0], later[-1]
-    return (
-        f"found: {found}. Over the mass: after 20 s {z20:+.2f} sds of {sd20:.0%}, "
-        f"{err20:+.0%} off; end {z_end:+.2f} of {sd_end:.0%}; furthest number {worst:+.2f}"
-    )
+    return f"found: {found}. Over the mass: {'; '.join(shown)}; furthest number {worst:+.2f}"
 
 
 def over_mass(estimate: Estimate, truth: float) -> tuple[float, float, float]:
     """C_ai over the mass: error in sds, sd, error of the logarithm; not a number where there is none."""
-    value, sd = (estimate.per_mass[2], estimate.per_mass_sd[2]) if estimate.per_mass else (None, None)
-    if value is None or sd is None:
-        return math.nan, math.nan, math.nan
-    error = math.log(value) - truth
-    return error / (sd / value), sd / value, error
+    sd = _sd(estimate, 2)
+    error = math.nan if math.isnan(sd) else math.log(estimate.per_mass[2] or math.nan) - truth
+    return error / sd, sd, error
+
+
+def _sd(estimate: Estimate, k: int) -> float:
+    """Of the logarithm of a stiffness over the mass."""
+    told = dict(enumerate(zip(estimate.per_mass, estimate.per_mass_sd, strict=False)))
+    value, sd = told.get(k, (None, None))
+    return math.nan if value is None or sd is None else sd / value
 
 
 def number(estimate: Estimate, k: int, truth: float) -> float:

@@ -106,6 +106,7 @@ def resume(
     Returns method -> why its saved posterior is not used, None where it is used.
     """
     refusals = warm_start.resume(state.machine, state.estimators, previous_run, elapsed_s, t_ns)
+    implement_load.resumed(state, elapsed_s)
     state.time.latest_ns = t_ns
     used = {method for method, refusal in refusals.items() if refusal is None}
     state.previous_run = {method: before for method, before in previous_run.items() if method in used}
@@ -150,6 +151,7 @@ def _apply(state: State, directive: Directive, t_ns: int, out: list[Publication]
         state.estimators = {row.method: row.initial(state.machine) for row in rows_for(state.machine)}
         elapsed_s = max(0, t_ns - state.previous_run_ns) * 1e-9
         warm_start.resume(state.machine, state.estimators, state.previous_run, elapsed_s, t_ns)
+        implement_load.resumed(state, elapsed_s)
         state.estimates = estimates_now(state)
 
 
@@ -372,7 +374,7 @@ def _estimate(state: State, t_ns: int, driven: WaitingPose, out: list[Publicatio
     _apply(state, of_file, t_ns, out)
     if of_file.withhold and segment is not None:
         segment = replace(segment, follows=False, reason=Code.CONTRADICTED)
-    implement_load.walk(state, t_ns)
+    implement_load.walk(state, t_ns, pose)
     estimates = []
     if state.machine.estimation.field_map is not None:
         memory, ours = state.estimators[place.METHOD], state.estimators[tracker.METHOD]
@@ -569,6 +571,7 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     open_tracker.clock_stepped(state.open)
     state.place = None
     state.previous_run_ns += by_ns
+    state.drove_ns += by_ns if state.drove_ns else 0
     for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], by_ns)
     if state.time.misled:  # which is reported as what it is

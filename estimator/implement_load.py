@@ -1,8 +1,8 @@
 """How much the implement carries, in the state of the fold: who says it, and what is done then.
 
 An operator's word is logged before it is used, a scale's is in the log as frames. Where nobody says it, the
-logarithm of the mass walks; C_ai is then known as badly as the mass, C_ai over it as well as driving tells
-it."""
+logarithm of the mass walks while the rig drives, and is open after each stop; C_ai is then known as badly as
+the mass, C_ai over it as well as driving tells it."""
 
 import math
 from dataclasses import replace
@@ -10,13 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from tilth.estimator.diagnosis.widening import OfLoad, widened
+from tilth.estimator.methods import pem
 from tilth.estimator.methods.carrying import open_up, take_load
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.methods.place import PlaceState
-from tilth.estimator.models.load import LOAD, aged, laden, of_nobody, of_scale, range_variance, walked
+from tilth.estimator.models.load import LOAD, aged, another_variance, laden, of_nobody, of_scale, walked
 from tilth.estimator.results.method_state import SixState
 from tilth.estimator.state import ScaleWord, State
-from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Weight
+from tilth.schemas.flow import Carried, Estimate, EventKind, LoadSource, Pose, Weight
 from tilth.schemas.machine import Machine
 from tilth.schemas.notices import Notice, NoticeCode, notice
 from tilth.schemas.rejections import Rejection
@@ -67,21 +68,56 @@ def weigh(state: State, t_ns: int, weight: Weight) -> Carried | None:
     return Carried(t_ns, state.scale.mass, LOAD.weighed * (own + state.scale.mass), LoadSource.SCALE)
 
 
-def walk(state: State, t_ns: int) -> None:
+def walk(state: State, t_ns: int, pose: Pose) -> None:
     """Time has passed, and nobody has said the load."""
-    if state.carried is None or (
-        state.carried.source is LoadSource.SCALE
-        and (state.scale is not None and t_ns - state.scale.t_ns < LOAD.scale_lost_ns)
+    if state.carried is None:
+        return
+    stood = _has_stood(state, pose)
+    if state.carried.source is LoadSource.SCALE and (
+        state.scale is not None and t_ns - state.scale.t_ns < LOAD.scale_lost_ns
     ):
         return
+    if stood:
+        _after_stop(state)
     passed_ns = t_ns - state.walked_ns
     if 0 <= passed_ns < LOAD.step_ns:
         return
     if state.walked_ns and 0 <= passed_ns < LOAD.unknown_ns:
-        variance = walked(state.empty, state.carried, passed_ns * 1e-9)
-        for method_state in state.estimators.values():
-            open_up(method_state, state.machine, variance)
+        _open_up(state, walked(state.empty, state.carried, passed_ns * 1e-9))
     state.walked_ns = t_ns
+
+
+def _has_stood(state: State, pose: Pose) -> bool:
+    """Whether the rig drives again after a stop in which nobody has said what it carries since."""
+    if not pose.direction:
+        return False
+    before, state.drove_ns = state.drove_ns, pose.t_ns
+    assert state.carried is not None
+    return before > 0 and pose.t_ns - before >= LOAD.stop_ns and state.carried.t_ns <= before
+
+
+def _after_stop(state: State) -> None:
+    """The load may be any other. A fit of before the stop that is adopted later would not know of that."""
+    assert state.carried is not None
+    state.carried = _before_a_stop(state.empty, state.carried)
+    for row in rows_for(state.machine):
+        method_state = state.estimators[row.method]
+        if row.fitting is not None and method_state.job is not None:
+            row.clock_stepped(method_state, 0)
+    _be_open(state)
+
+
+def _be_open(state: State) -> None:
+    """The load may be any other, and the first turn is to show it."""
+    _open_up(state, another_variance(state.empty))
+    fitted = state.estimators.get(pem.METHOD)
+    if fitted is not None:
+        fitted.soon = True
+
+
+def _open_up(state: State, variance: float) -> None:
+    for method_state in state.estimators.values():
+        open_up(method_state, state.machine, variance)
 
 
 def changed(state: State, t_ns: int) -> None:
@@ -89,8 +125,7 @@ def changed(state: State, t_ns: int) -> None:
     carried = of_nobody(state.empty, t_ns)
     assert carried is not None  # only an implement that carries something has such events
     use(state, carried)
-    for method_state in state.estimators.values():
-        open_up(method_state, state.machine, 4.0 * range_variance(state.empty))  # from one end to the other
+    _be_open(state)
 
 
 def in_doubt(state: State, events: list[tuple[str, Notice]]) -> list[tuple[str, Notice]]:
@@ -126,4 +161,18 @@ def later(machine: Machine, told: Carried | None, elapsed_s: float, t_ns: int) -
     Its age counts when an estimate is published. machine: as its file describes it."""
     if told is None or machine.implement.load is None:
         return None
-    return replace(told, t_ns=min(told.t_ns, t_ns - round(elapsed_s * 1e9)))
+    told = replace(told, t_ns=min(told.t_ns, t_ns - round(elapsed_s * 1e9)))
+    return _before_a_stop(machine, told) if elapsed_s * 1e9 >= LOAD.stop_ns else told
+
+
+def resumed(state: State, elapsed_s: float) -> None:
+    """What a run before has learned is there, so much later: the rig has stood in between."""
+    if state.carried is not None and elapsed_s * 1e9 >= LOAD.stop_ns:
+        _be_open(state)
+
+
+def _before_a_stop(machine: Machine, told: Carried) -> Carried:
+    """What was said before a stop tells as little as what is so old that all may have changed."""
+    load = machine.implement.load
+    assert load is not None
+    return replace(told, t_ns=max(told.t_ns - round(load.lasts * 1e9), 0))

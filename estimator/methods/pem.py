@@ -109,6 +109,7 @@ class PemState(FittedState):
 
     window: list[Segment] = field(default_factory=list)
     closed: Record | None = None  # a complete window whose fit is not requested yet
+    soon: bool = False  # whether the load may have changed since the last window: the next one is awaited
     job: Job | None = None  # requested, not adopted yet
     last: Fit | None = None
     advisor: Advisor = field(default_factory=Advisor)
@@ -123,7 +124,10 @@ def initial(machine: Machine) -> PemState:
 def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
     """Take one segment; an estimate each REPORTING.publish_ns."""
     fitted.drive_on(state, pose, segment)
-    if not collect(state, pose.t_ns, segment, REPORTING.publish_ns, PEM.least_steering, _wheel_zero(state)):
+    zero = _wheel_zero(state)
+    due = collect(state, pose.t_ns, segment, REPORTING.publish_ns, PEM.least_steering, zero, state.soon)
+    state.soon &= state.closed is None
+    if not due:
         return None
     if state.fits:
         speed = abs(pose.tractor.forward_velocity or 0.0)
@@ -197,13 +201,14 @@ def fit(machine: Machine, job: Job) -> Fit:
         chi_square = contradiction(change, covariance[SIX, SIX], after, errors)
         tie = fitted.is_tie((chi_square, PEM.suspect_chi_square))
     if chi_square > PEM.suspect_chi_square:
-        mean, covariance = of_other_tyres(mean, covariance, prior_mean, prior_sd)
-        anew = _posterior(job.record, setup, mean, covariance)
+        other = of_other_tyres(mean, covariance, prior_mean, prior_sd)
+        anew = _posterior(job.record, setup, *other)
         ratio = 2.0 * (found.cost - anew.cost) * found.rows
         changed = chi_square > PEM.change_chi_square or ratio > PEM.change_ratio
         tie |= chi_square <= PEM.change_chi_square and fitted.is_tie((ratio, PEM.change_ratio))
         tie |= ratio <= PEM.change_ratio and fitted.is_tie((chi_square, PEM.change_chi_square))
-        found = scoring.with_gain(anew, found.gain) if changed else found
+        if changed:
+            found, (mean, covariance) = scoring.with_gain(anew, found.gain), other
     refused = refusal(found, prior_mean, prior_sd) or (Code.TWO_PLACES if found.two_places else None)
     alone, contrast, prior = None, job.contrast, (prior_mean, prior_sd)
     if refused is None and found.contrast is not None:

@@ -2,7 +2,8 @@
 
 Tyres grow stiffer with their load, C ~ load^n, so an implement's stiffness over its mass moves with
 m^(n - 1): by 1.5 from 8 t to 2 t at n = 0.7, not at all at n = 1. That is what driving sees of a load; its
-mass alone it does not tell. So between two words of who knows it, the logarithm of the mass walks.
+mass alone it does not tell. So between two words of who knows it, the logarithm of the mass walks while the
+rig drives, and may be any other after a stop: carts are tipped, filled and weighed while they stand.
 """
 
 import math
@@ -35,6 +36,9 @@ class LoadTuning:
     step_ns: int = tuned(10_000_000_000, "ns", "between two steps of the walk")
     unknown_ns: int = tuned(
         600_000_000_000, "ns", "since the last one, in which the log's clock may have stepped"
+    )
+    stop_ns: int = tuned(
+        20_000_000_000, "ns", "not driven, in which a cart may be tipped: a shorter stop is one at a gate"
     )
     scale_lost_ns: int = tuned(20_000_000_000, "ns", "without a scale's word, after which nobody weighs it")
     couples: float = tuned(
@@ -85,6 +89,12 @@ def range_variance(machine: Machine) -> float:
     empty one."""
     load = machine.implement.load
     return 0.0 if load is None else carried.log_range(machine, load) ** 2 / 12.0
+
+
+def another_variance(machine: Machine) -> float:
+    """Of the logarithm of the implement's mass, by a load that has become any other: from one end of what is
+    possible to the other is 1.7 sds. machine: with the empty one."""
+    return 4.0 * range_variance(machine)
 
 
 def of_nobody(machine: Machine, t_ns: int) -> Carried | None:

@@ -63,21 +63,23 @@ def collect(
     every_ns: int,
     least_steering: float = 0.0,
     zero: float = 0.0,
+    soon: bool = False,
 ) -> bool:
     """Take the segment that ends at the pose before that of t_ns. Returns whether an estimate is due.
 
     every_ns: interval of estimates. least_steering: smallest sd of the wheel angle, rad, of a window to fit.
-    zero: reading of the wheel angle when straight, rad.
+    zero: reading of the wheel angle when straight, rad. soon: whether a window is closed as soon as it has
+    enough steering, also in a turn.
     """
     if segment is not None:
-        _add_segment(state, segment, least_steering, zero)
+        _add_segment(state, segment, least_steering, zero, soon)
     due = t_ns - state.published_ns >= every_ns
     if due:
         state.published_ns = t_ns
     return due
 
 
-def _add_segment(state: Collecting, segment: Segment, least_steering: float, zero: float) -> None:
+def _add_segment(state: Collecting, segment: Segment, least_steering: float, zero: float, soon: bool) -> None:
     state.reason = segment.reason
     if segment.reason:
         refuse(state, segment.reason)
@@ -94,7 +96,7 @@ def _add_segment(state: Collecting, segment: Segment, least_steering: float, zer
             refuse(state, Code.TOO_LITTLE_STEERING)
     elif len(window) >= WINDOWS.longest:
         _close_full_window(state, least_steering, zero)
-    elif _is_complete(window, least_steering, zero):
+    elif _is_complete(window, least_steering, zero, soon):
         close_window(state, least_steering, zero)
     elif not _has_steering(window, least_steering):
         state.reason = _lacking(window, zero)
@@ -153,9 +155,11 @@ def _turned(window: list[Segment], zero: float) -> bool:
     return exceeds(float(np.max(np.abs(_wheel_angles(window) - zero), initial=0.0)), WINDOWS.turned)
 
 
-def _is_complete(window: list[Segment], least_steering: float, zero: float) -> bool:
-    """Whether the wheels are straight again after so much steering that the window need not wait for more."""
-    if len(window) < WINDOWS.quiet + WINDOWS.lead or _turned(window[-WINDOWS.quiet :], zero):
+def _is_complete(window: list[Segment], least_steering: float, zero: float, soon: bool) -> bool:
+    """Whether there is so much steering that the window need not wait for more, and, but for `soon`, the
+    wheels are straight again."""
+    straight = len(window) >= WINDOWS.quiet + WINDOWS.lead and not _turned(window[-WINDOWS.quiet :], zero)
+    if not straight and not (soon and len(window) >= WINDOWS.shortest):
         return False
     turned_s = float(np.sum(np.abs(_wheel_angles(window) - zero) > WINDOWS.turned)) * TICK_NS * 1e-9
     return turned_s >= WINDOWS.enough_s and _has_steering(window, least_steering)

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from cart import CART, FULL, LOAD_TEXT, known
 from logs import MACHINE, MACHINE_TEXT
+from posed import pose_of
 
 from tilth.estimator import fold, implement_load
 from tilth.estimator.filters import soil_change
 from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models.load import by_another_load, laden
 from tilth.estimator.snapshot import restore, snapshot
+from tilth.estimator.state import ScaleWord, State
 from tilth.schemas.can_id import join
 from tilth.schemas.carried import said_of_load
 from tilth.schemas.flow import Carried, Event, EventKind, Frame, LoadSource, Weight
@@ -149,8 +151,42 @@ def test_a_run_that_comes_back_later_knows_less() -> None:
         sds.append(carried.sd)
     assert sds[0] < 900.0 and sds[1] > 6000.0
     gone_back = implement_load.later(CART, replace(FULL, t_ns=2 * now), 86_400.0, now)  # the clock
-    assert gone_back is not None and gone_back.t_ns == now - 86_400 * S
+    assert gone_back is not None and gone_back.t_ns == now - 87_000 * S
     assert implement_load.later(MACHINE, FULL, 1.0, 1) is None
+
+
+def driven(state: State, begin_s: int, seconds: int, u: float) -> list[float]:
+    """At that speed for so long. Sds of the tracker's logarithms of C_af, C_ar and C_ai."""
+    for t_s in range(begin_s, begin_s + seconds):
+        pose = replace(pose_of(u, 0.0, 0.0), t_ns=t_s * S, direction=int(u > 0.0))
+        implement_load.walk(state, t_s * S, pose)
+    variances: list[float] = np.diag(state.estimators["tracker"].covariance)[:3].tolist()
+    return [variance**0.5 for variance in variances]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "word", "sd"),
+    [
+        (8, None, 0.083),  # at a gate
+        (60, None, 0.215),
+        (600, None, 0.23),  # once, beside the walk
+        (60, LoadSource.OPERATOR, 0.085),
+        (60, LoadSource.SCALE, 0.08),
+    ],
+)
+def test_a_stop_may_have_changed_the_load(seconds: int, word: LoadSource | None, sd: float) -> None:
+    state = fold.initial(CART)
+    known(state, "tracker")
+    before = driven(state, 1, 10, 4.0)
+    if word is LoadSource.SCALE:
+        state.scale = ScaleWord(11 * S, 3000.0)
+    driven(state, 11, seconds, 0.0)
+    if word is not None and state.carried is not None:
+        state.carried = replace(state.carried, t_ns=(10 + seconds) * S, source=word)
+    after = driven(state, 11 + seconds, 1, 4.0)
+    assert after[:2] == before[:2] and after[2] == pytest.approx(sd, abs=0.01)
+    assert state.estimators["pem"].soon == (sd > 0.2)  # the first turn is to show it
+    assert restore(CART, snapshot(state)).drove_ns == (11 + seconds) * S
 
 
 def test_an_event_of_the_load_is_one() -> None:

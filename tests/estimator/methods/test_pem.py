@@ -273,6 +273,27 @@ def test_other_soil_is_noticed_and_what_was_learned_given_up(machine: Machine) -
     assert np.all(np.abs(state.mean[SIX] - truth) < 4.0 * sd)
 
 
+def test_a_suspicion_that_does_not_stand_changes_nothing(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, truth = _driven(2)
+    state = pem.initial(machine)
+    state.mean[SIX] = truth + 0.3  # as of softer soil
+    state.covariance[SIX, SIX] = 0.1**2 * np.eye(6)
+    state.fits, state.closed = 1, record
+    job = pem.request_fit(state, 5)
+    assert job is not None
+    found = []
+    for suspected in (math.inf, 0.0):
+        never = replace(pem.PEM, suspect_chi_square=suspected, change_chi_square=1e9, change_ratio=1e9)
+        monkeypatch.setattr(pem, "PEM", never)
+        made = pem.fit(machine, job)
+        assert made.told is not None and not made.changed
+        found.append((made.mean, made.covariance, made.told.information, made.told.vector))
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+
+
 def test_one_row_that_is_no_number_costs_only_the_window(machine: Machine) -> None:
     record, _ = _driven(1)
     rows = record.rows.copy()
