@@ -2,7 +2,7 @@
 
 A computer upgrades while it records, on a drive that notes its writes (cut_drive.py); a cut at each instant
 gives a disk, which starts again under a systemd of its own. Half of the cuts are within the switch of
-releases, which is a hundredth of what is written. The computer is this one's kernel, in namespaces
+releases, a small part of what is written. The computer is this one's kernel, in namespaces
 (contained.py), and by hand the virtual machine:
 `TILTH_CUTS=20 pytest -m "vm or vm_systemd" -n 0 tests/vm/test_upgrade_cut.py`.
 """
@@ -60,12 +60,12 @@ def is_of(wheel: Path, release: Path) -> bool:
 
 
 def writes_of_the_switch(before: Path, writes: list[Write]) -> range:
-    """From where another keeper is named, which the switch begins with, until the new release is current.
-    before: as of first."""
-    place, target = "/files/opt/tilth", "releases/2"
-    ended = first(before, writes, lambda system: link(system, f"{place}/current")[1] == target)
-    keeper = link(before, f"{place}/keeper")
-    begun = first(before, writes[:ended], lambda system: link(system, f"{place}/keeper") != keeper)
+    """From where the release before becomes the new one's keeper, by a new link, until the new one has
+    started and is its own. before: as of first."""
+    keeper = "/files/opt/tilth/keeper"
+    link_before = link(before, keeper)
+    ended = first(before, writes, lambda system: link(system, keeper)[1] == "releases/2")
+    begun = first(before, writes[:ended], lambda system: link(system, keeper) != link_before)
     return range(begun, ended + 1)
 
 
