@@ -1,7 +1,7 @@
 """What the updater has to tell (deploy/update.py): it is an event of the run that records then, once.
 
-The updater keeps it in updates.json of the installation, the newest last. What was told is noted beside the
-logs, in .updates.told.
+The updater keeps it in updates.json of the installation, the newest last. What is in a log is noted beside
+the logs, in .updates.told.
 """
 
 import json
@@ -43,24 +43,33 @@ class UpdateNews:
         self._report = report
         self._recording = recording
         self._seen: tuple[int, int] | None = None  # of the file: its number and when it was changed
+        self._newest = ""  # that was reported
+        self._noted = True
 
     def turn(self) -> None:
         """Report what has not been told. Nothing that lies there can end a run."""
         if self._path is None:
             return
+        self._report_new(self._path)
+        # At rest an event waits for the next run. Where the recorder ends before, the next one tells it.
+        if not self._noted and not self._recording.resting:
+            self._recording.on_disk_thread(partial(whole_file.write, self._told, self._newest.encode()))
+            self._noted = True
+
+    def _report_new(self, path: Path) -> None:
         try:
-            found = self._path.stat()
+            found = path.stat()
             if (found.st_ino, found.st_mtime_ns) == self._seen:
                 return
             self._seen = found.st_ino, found.st_mtime_ns
-            entries = json.loads(whole_file.read(self._path))["news"]
+            entries = json.loads(whole_file.read(path))["news"]
             names = [str(entry["id"]) for entry in entries]
-            told = whole_file.read(self._told).decode() if self._told.exists() else ""
+            told = self._newest or (whole_file.read(self._told).decode() if self._told.exists() else "")
             fresh = entries[names.index(told) + 1 :] if told in names else entries
             for entry in fresh:
                 self._report(EventKind.UPDATE, _of(entry))
             if fresh:
-                self._recording.on_disk_thread(partial(whole_file.write, self._told, names[-1].encode()))
+                self._newest, self._noted = names[-1], False
         except FileNotFoundError:
             return
         except (OSError, ValueError, KeyError, TypeError) as error:

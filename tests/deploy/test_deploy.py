@@ -15,10 +15,13 @@ from setup_box import Box, without_tilth
 
 from tilth.deploy import can_up
 from tilth.deploy.install import HOTSPOT, KERNELS, Failed, _files_beside, adapter_rule
+from tilth.schemas.machine_toml import parse_machine
 
 SYSTEM = ROOT / "deploy" / "system"
 UNITS = ("tilth.service", "tilth-can@.service", "tilth-page.service")
 FOR_PHONES = ("tilth-take.service", "tilth-take.path", "tilth-hotspot.service")  # root's own, no server
+# As `tilth calibrate` of f0c62115 (2026-11-25) wrote it, of its left_kingpin.toml and calibration_drive.toml.
+OLDER_MACHINE = Path(__file__).with_name("older_machine.toml")
 EXPOSED = 2.5  # of 10: the most that `systemd-analyze security` may find
 
 
@@ -52,8 +55,16 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     log.write_text("a season")
 
     assert box.setup("rollback").returncode == 1  # there is none before
+    installed = box.root / "etc/tilth/machine.toml"
+    older = OLDER_MACHINE.read_text()
+    installed.write_text(older.replace("kingpin_distance", "kingpin_place"))
+    result = box.setup("upgrade", wheel)
+    assert result.returncode == 1 and 'did you mean "kingpin_distance"' in result.stderr
+    assert box.release("current") == "1" and not (box.root / "opt/tilth/releases/2").exists()
+    installed.write_text(older)
     result = box.setup("upgrade", wheel)
     assert result.returncode == 0 and (box.release("current"), box.release("previous")) == ("2", "1")
+    assert installed.read_text() == older
     for name, words in (
         ("bad.whl", "no wheel of Tilth"),
         ("empty", "give a wheel"),
@@ -66,7 +77,6 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
         bad.write_text("") if bad.suffix else bad.mkdir()
         result = box.setup("upgrade", bad)
         assert result.returncode == 1 and words in result.stderr
-    installed = box.root / "etc/tilth/machine.toml"
     installed.write_text(TEXT.replace("[tractor]", "[traktor]"))
     result = box.setup("rollback")
     assert result.returncode == 1 and 'did you mean "tractor"' in result.stderr
@@ -84,6 +94,16 @@ def test_install_upgrade_roll_back_and_uninstall_keep_the_logs(tmp_path: Path, w
     assert box.files() == {
         "etc/tilth/machine.toml", "etc/tilth/daemon.json", "var/lib/tilth/logs/a.mcap",
     }  # fmt: skip
+
+
+def test_a_machine_file_of_an_older_release_says_what_it_said() -> None:
+    machine = parse_machine(OLDER_MACHINE.read_text())
+    tractor, sensor, receiver = machine.tractor, machine.wheel_angle, machine.receiver[0]
+    found = (tractor.c, sensor.zero, sensor.curve, sensor.gain, receiver.latency)
+    assert [(each.value, each.sd) for each in found] == [
+        (2.1347, 0.016), (-0.0961, 0.015), (0.004335937, 0.0086), (1.0, 0.0061), (0.143, 0.005),
+    ]  # fmt: skip
+    assert (sensor.kingpin, sensor.scale, tractor.kingpin_distance) == ("left", 0.009973109, 1.7)
 
 
 def expect_a_page(box: Box, tmp_path: Path) -> None:

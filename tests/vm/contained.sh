@@ -21,7 +21,10 @@ for name in null zero full random urandom tty; do touch dev/$name && mount --bin
 mkdir dev/shm dev/pts
 ln -s /proc/self/fd dev/fd
 for place in dev/shm run tmp; do mount -t tmpfs memory $place; done
-mkdir -p "./$OUT"
-mount --bind "$OUT" "./$OUT"
+here=$(dirname "$(readlink -f "$0")")
+for place in "$OUT" "${here%/tests/vm}"; do # of which the second may be below /tmp, too
+    mkdir -p "./$place"
+    mount --bind "$place" "./$place"
+done
 ip link set lo up
-(echo 0 >"$group/cgroup.procs" && exec unshare --cgroup chroot . bash -e "$(dirname "$(readlink -f "$0")")/with_systemd.sh" "$@")
+(echo 0 >"$group/cgroup.procs" && exec unshare --cgroup chroot . bash -e "$here/with_systemd.sh" "$@")

@@ -4,11 +4,13 @@ disk. A cut leaves what was flushed and, of what was not, any part.
 The drive is a machine's (noted), or a file of this computer's (noted_here): a machine is slow.
 """
 
+import bisect
 import os
+import re
 import shutil
 import struct
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,9 +82,10 @@ def _noting(image: Path, log: Path) -> list[str]:
     ]
 
 
-def run(*command: str, good: tuple[int, ...] = (0,)) -> None:
+def run(*command: str, good: tuple[int, ...] = (0,)) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": PATH})
     assert done.returncode in good, f"{command}: {done.stdout}{done.stderr}"
+    return done.stdout
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +110,37 @@ def logged(path: Path) -> Iterator[Write]:
                 return  # QEMU itself was killed while it noted this one
             scale = sector_size // SECTOR
             yield Write(sector * scale, data, bool(flags & (FLUSH | FUA)))
+
+
+def first(before: Path, writes: list[Write], is_so: Callable[[Path], bool]) -> int:
+    """How many writes it takes until something is so of the file system, and remains so: it is asked of one
+    whose journal has been replayed. before: the file system, `alone`."""
+    work = before.with_name("work")
+
+    def after(count: int) -> bool:
+        run("cp", "--sparse=always", str(before), str(work))
+        with work.open("r+b") as file:
+            for write in (write for write in writes[:count] if write.data):  # a flush alone has none
+                file.seek((write.sector - FIRST) * SECTOR)
+                file.write(write.data)
+        run("e2fsck", "-p", "-E", "journal_only", str(work), good=(0, 1))
+        return is_so(work)
+
+    return bisect.bisect_left(range(len(writes) + 1), True, key=after)
+
+
+def alone(drive: bytes, path: Path) -> Path:
+    """The file system of a drive, as a file."""
+    path.write_bytes(drive[FIRST * SECTOR : -(1 << 20)])
+    return path
+
+
+def link(system: Path, path: str) -> tuple[str, str]:
+    """Inode and target of a symbolic link of a file system."""
+    said = run("debugfs", "-R", f"stat {path}", str(system))
+    found = re.search(r'Inode: (\d+) .*Fast link dest: "(.*?)"', said, re.DOTALL)
+    assert found is not None, said
+    return found[1], found[2]
 
 
 def disks(

@@ -44,7 +44,7 @@ def stage(out: Path, wheel: Path) -> None:
     """What the scenario finds."""
     text = (CHECKOUT / "deploy/machines/jd7930-parker500.toml").read_text()
     (out / "machine.toml").write_text(text)
-    (out / "resting.toml").write_text(text.replace("[log]", "[log]\nignition_off_s = 3"))
+    (out / "resting.toml").write_text(text.replace("[log]", "[log]\nignition_off_s = 10"))
     (out / "ours.pub").write_text(KEY.public())
     for folder, version, broken in (("first", wheel.name.split("-")[1], None), *RELEASES):
         KEY.sign(release_of(wheel, out / folder, version, {"tilth/cli/run.py": broken} if broken else None))

@@ -1,7 +1,8 @@
 """The power is cut in the middle of an upgrade: the old release or the new one records, and no log is lost.
 
 A computer upgrades while it records, on a drive that notes its writes (cut_drive.py); a cut at each instant
-gives a disk, which starts again under a systemd of its own. The computer is this one's kernel, in namespaces
+gives a disk, which starts again under a systemd of its own. Half of the cuts are within the switch of
+releases, a small part of what is written. The computer is this one's kernel, in namespaces
 (contained.py), and by hand the virtual machine:
 `TILTH_CUTS=20 pytest -m "vm or vm_systemd" -n 0 tests/vm/test_upgrade_cut.py`.
 """
@@ -22,7 +23,7 @@ import cut_drive
 import guest
 import numpy as np
 import pytest
-from cut_drive import disks, logged, new_drive, noted, noted_here
+from cut_drive import Write, alone, disks, first, link, logged, new_drive, noted, noted_here
 from loopback import logged_frames, machine_text, udp_bus
 from releases import release_of
 
@@ -56,6 +57,16 @@ def is_of(wheel: Path, release: Path) -> bool:
     with zipfile.ZipFile(wheel) as content:
         names = [name for name in content.namelist() if name.startswith("tilth/")]
         return all((release / name).read_bytes() == content.read(name) for name in names)
+
+
+def writes_of_the_switch(before: Path, writes: list[Write]) -> range:
+    """From where the release before becomes the new one's keeper, by a new link, until the new one has
+    started and is its own. before: as of first."""
+    keeper = "/files/opt/tilth/keeper"
+    link_before = link(before, keeper)
+    ended = first(before, writes, lambda system: link(system, keeper)[1] == "releases/2")
+    begun = first(before, writes[:ended], lambda system: link(system, keeper) != link_before)
+    return range(begun, ended + 1)
 
 
 @pytest.mark.parametrize(
@@ -92,11 +103,13 @@ def test_after_a_cut_at_any_instant_a_whole_release_records_and_no_log_is_lost(
     writes = list(logged(log))
     places = list(itertools.accumulate(512 + len(write.data) for write in writes))
 
+    switch = writes_of_the_switch(alone(before, tmp_path / "before"), writes)
     rng = np.random.default_rng(11)
-    at = np.sort(rng.integers(samples[0][0], samples[-1][0], CUTS))
-    cuts = dict(zip(np.searchsorted(places, at).tolist(), at.tolist(), strict=True))
+    of_switch = rng.choice(switch, CUTS // 2, replace=False)
+    anywhere = np.searchsorted(places, rng.integers(samples[0][0], samples[-1][0], CUTS - len(of_switch)))
+    cuts = sorted({*of_switch.tolist(), *anywhere.tolist()})
     lost, versions = list[int](), collections.Counter[str]()
-    for number, disk in disks(before, writes, list(cuts), rng):
+    for number, disk in disks(before, writes, cuts, rng):
         image.write_bytes(disk)
         for folder in ("logs", "release"):
             shutil.rmtree(out / folder, ignore_errors=True)
@@ -112,8 +125,10 @@ def test_after_a_cut_at_any_instant_a_whole_release_records_and_no_log_is_lost(
                 recorded = numbers[-1] + 1
                 assert numbers == list(range(numbers[0], recorded))
         if "tilth-1.0.0" in (out / "current").read_text():  # else nobody has recorded between the two
-            lost.append(next(sent for size, sent in samples if size >= cuts[number]) - recorded)
+            lost.append(next(sent for size, sent in samples if size >= places[number - 1]) - recorded)
     assert "tilth-2.0.0" in (out / "again").read_text()  # what was begun can be ended
+    within = f"{sum(number in switch for number in cuts)} within the {len(switch)} writes of the switch"
+    output = f"{dict(versions)} after cuts, {within}; frames lost at most {max(lost, default=0)}"
     with capsys.disabled():
-        sys.stdout.write(f"\n{dict(versions)} after cuts; frames lost at most {max(lost, default=0)}\n")
+        sys.stdout.write(f"\n{output}\n")
     assert set(versions) <= {"tilth-1.0.0.dist-info", "tilth-2.0.0.dist-info"} and max(lost, default=0) < LOST
