@@ -30,6 +30,7 @@ from tilth.schemas.readable import reason_of
 # `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
 COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
+    ("status", "say how the daemon that runs is"),
     ("mark", "note an event in the log of the daemon that runs"),
     ("accept", "accept what the daemon that runs has found moved as it is now"),
     ("implement", "say which implement is hitched on"),

@@ -29,7 +29,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="ADDRESS",
         help="how others reach the recorder's computer",
     )
-    parser.add_argument("--port", type=int, default=keys.PORT, metavar="N", help=f"({keys.PORT})")
+    ports = f"({keys.PORT}; of a router {keys.PORT + 1})"
+    parser.add_argument("--port", type=int, metavar="N", help=ports)
+    parser.add_argument(
+        "--router",
+        action="store_true",
+        help="with --machine: a router takes the keys, and the recorder stays on its computer's loopback",
+    )
     parser.add_argument("--operator", action="append", default=[], metavar="NAME", help="may hear and mark")
     parser.add_argument("--reader", action="append", default=[], metavar="NAME", help="may hear")
     parser.add_argument("--renew", action="append", default=[], metavar="NAME", help="a new certificate")
@@ -60,7 +66,8 @@ def run(args: argparse.Namespace) -> int:
 def _change(args: argparse.Namespace) -> None:
     if args.folder is None:
         raise WrongUse("give the FOLDER of the keys, or --try KEY.json")
-    if args.days < 1 or not 0 < args.port < 65536:
+    port = keys.PORT + args.router if args.port is None else args.port
+    if args.days < 1 or not 0 < port < 65536:
         raise WrongUse("give --days above zero and a --port from 1 to 65535")
     now = datetime.fromtimestamp(Clock().t_ns() // 1_000_000_000, UTC)
     if now.year not in YEARS:
@@ -68,10 +75,14 @@ def _change(args: argparse.Namespace) -> None:
     written: list[Path] = []
     if args.machine is not None:
         machine = read_machine(args.machine).machine
-        register = keys.Register(machine.name, machine.zenoh.prefix, tuple(args.host), args.port)
+        inside = tuple(machine.zenoh.listen) if args.router else ()
+        if any(one.endswith(f":{port}") for one in inside):
+            raise WrongUse(f"--port {port}: the recorder listens there itself; give the router another")
+        hosts = tuple(args.host)
+        register = keys.Register(machine.name, machine.zenoh.prefix, hosts, port, recorder=inside)
         written += keys.make(args.folder, register, now)
-    elif args.host:
-        raise WrongUse("--host goes with --machine, when the keys are made")
+    elif args.host or args.router:
+        raise WrongUse("--host and --router go with --machine, when the keys are made")
     people = [*((n, "operator") for n in args.operator), *((n, "reader") for n in args.reader)]
     if args.revoke:
         written += keys.revoke(args.folder, args.revoke)
@@ -79,14 +90,16 @@ def _change(args: argparse.Namespace) -> None:
         written += keys.renew(args.folder, args.renew, now, args.days)
     if people:
         written += keys.admit(args.folder, people, now, args.days)
+    routed = bool(written) and bool(keys.read_register(args.folder).recorder)
     for path in dict.fromkeys(written):
-        print(f"wrote {path}{_WHAT_FOR.get(path.name, '')}")
+        print(f"wrote {path}{(_OF_ROUTER if routed else _WHAT_FOR).get(path.name, '')}")
 
 
 _WHAT_FOR = {
     "ca.key": ": whoever has it can make keys; keep it off the tractor and off the network",
     "daemon.json": ': for the recorder, beside its machine file; there: [zenoh] config = "daemon.json"',
 }
+_OF_ROUTER = {**_WHAT_FOR, "daemon.json": ": for the router, python -m tilth.deploy.router daemon.json"}
 
 
 def _list(folder: Path) -> None:

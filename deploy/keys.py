@@ -1,8 +1,9 @@
 """Keys for a shared network: who hears a machine's daemon, who orders something of it, and nobody else.
 
 A folder holds the authority (ca.pem, ca.key) and one Zenoh configuration file per party, certificates inside:
-daemon.json for the recorder, <name>.json for each person or program. daemon.json is the register as well: its
-`metadata.tilth` says who has been let in and who was put out again.
+daemon.json for the recorder, or for a router in front of it (router.py), <name>.json for each person or
+program. daemon.json is the register as well: its `metadata.tilth` says who has been let in and who was put
+out again.
 """
 
 import base64
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from tilth.deploy.certificates import HostError, issue, new_authority
+from tilth.logger.zenoh.session import REGION
 from tilth.schemas.readable import reason_of
 
 DAEMON: Final = "daemon"
@@ -51,6 +53,19 @@ _ALONE: Final[Mapping[str, Any]] = {
     "adminspace": {"enabled": False},
 }
 
+# A router passes on between the recorder and all others.
+_ROUTER: Final[Mapping[str, Any]] = {
+    "mode": "router",
+    "gateway": {
+        "south": [{"filters": [{"region_names": [REGION]}]}, {"filters": [{"modes": ["peer", "client"]}]}]
+    },
+}
+_PATIENT: Final[Mapping[str, Any]] = {
+    "timeout_ms": -1,  # go on trying in the background
+    "exit_on_failure": False,
+    "retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2.0},
+}
+
 
 class KeysError(Exception):
     """What is wrong with the folder or the names, and what to do, in one sentence."""
@@ -67,7 +82,8 @@ class Party:
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """Who may do what. hosts: how the daemon's computer is called or addressed."""
+    """Who may do what. hosts: how the daemon's computer is called or addressed. recorder: where a router
+    finds it, on loopback; none where it takes the keys itself."""
 
     machine: str
     prefix: str
@@ -75,6 +91,7 @@ class Register:
     port: int = PORT
     parties: tuple[Party, ...] = ()
     revoked: tuple[str, ...] = ()
+    recorder: tuple[str, ...] = ()
 
     @property
     def base(self) -> str:
@@ -150,7 +167,10 @@ def read_register(folder: Path) -> Register:
         register = _plain(path)["metadata"]["tilth"]
         parties = tuple(Party(**row) for row in register["parties"])
         hosts, revoked = tuple(register["hosts"]), tuple(register["revoked"])
-        return Register(register["machine"], register["prefix"], hosts, register["port"], parties, revoked)
+        recorder = tuple(register.get("recorder", ()))
+        return Register(
+            register["machine"], register["prefix"], hosts, register["port"], parties, revoked, recorder
+        )
     except OSError as error:
         raise KeysError(f"{path}: {reason_of(error)}; make keys first, with --machine and --host") from None
     except (ValueError, LookupError, TypeError):
@@ -178,6 +198,11 @@ def access_control(register: Register) -> dict[str, object]:
         if names:  # an empty list would stand for everybody
             subjects.append({"id": role, "cert_common_names": names})
             policies.append({"rules": may[role], "subjects": [role]})
+    if register.recorder:  # the only one that is not connected by TLS
+        whole = _rule("whole", "allow", (*_ASK, *_TELL), "ingress", keys)
+        rules.append(whole | {"flows": ["ingress", "egress"]})
+        subjects.append({"id": "recorder", "link_protocols": ["tcp"]})
+        policies.append({"rules": ["whole"], "subjects": ["recorder"]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -208,8 +233,9 @@ def _daemon_content(authority: tuple[bytes, bytes], register: Register) -> dict[
     }
     return {
         **_ALONE,
+        **(_ROUTER if register.recorder else {}),
         "listen": {"endpoints": [f"tls/0.0.0.0:{register.port}"]},
-        "connect": {"endpoints": []},
+        "connect": {"endpoints": list(register.recorder), **_PATIENT},
         "transport": {
             "unicast": {"max_sessions": MOST_SESSIONS},
             "link": {"tls": tls, "rx": {"max_message_size": _LARGEST}},
@@ -253,9 +279,7 @@ def _party_content(
         "listen": {"endpoints": []},
         "connect": {
             "endpoints": [f"tls/{f'[{host}]' if ':' in host else host}:{register.port}" for host in hosts],
-            "timeout_ms": -1,  # go on trying in the background
-            "exit_on_failure": False,
-            "retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2.0},
+            **_PATIENT,
         },
         "transport": {"link": {"tls": tls}},
         "metadata": {"tilth": asdict(party) | {"machine": register.machine, "prefix": register.prefix}},

@@ -13,6 +13,9 @@ from tilth.schemas.machine import Machine, Zenoh
 from tilth.schemas.readable import reason_of
 
 ANSWERS_MS: Final = 500  # how long one that is asked who it is may take
+REGION: Final = "recorder"
+"""What Zenoh calls the recorder's part of a network: a router passes on between parts, not among the peers of
+one."""
 
 
 def open_session(machine: Machine) -> tuple[zenoh.Session, list[str], str]:
@@ -140,6 +143,7 @@ def _local(settings: Zenoh) -> tuple[zenoh.Config, list[str]]:
     config = zenoh.Config()
     for key, value in (
         ("mode", "peer"),
+        ("region_name", REGION),
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("listen/endpoints", [one for one in settings.listen if one not in refused] or Zenoh().listen),

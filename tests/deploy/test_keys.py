@@ -15,6 +15,7 @@ from queue import SimpleQueue
 
 import pytest
 import zenoh
+from logs import MACHINE
 from loopback import PATIENCE_S, TEXT, free_port, machine_text, records_of, rig, udp_bus, until
 
 from tilth.cli import main
@@ -27,6 +28,7 @@ from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.machine_file import read_machine
+from tilth.logger.zenoh.session import open_session as open_daemon
 from tilth.logger.zenoh.session import try_session
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.machine import MachineError
@@ -55,8 +57,9 @@ class Net:
         return [str(r.ok.key_expr) for r in self.session.get(f"{BASE}/pose", timeout=1.0) if r.ok is not None]
 
 
-def make_folder(folder: Path, port: int) -> Path:
-    keys.make(folder, keys.Register(NAME, "tilth", ("127.0.0.1", "tractor.local"), port), NOW)
+def make_folder(folder: Path, port: int, recorder: tuple[str, ...] = ()) -> Path:
+    hosts = ("127.0.0.1", "tractor.local")
+    keys.make(folder, keys.Register(NAME, "tilth", hosts, port, recorder=recorder), NOW)
     people = [("olga", "operator"), ("rita", "reader"), ("rex", "reader"), ("witness", "reader")]
     keys.admit(folder, people, NOW)
     return folder
@@ -88,12 +91,17 @@ def make_strangers(folder: Path, other: Path) -> None:
     keys.admit(folder, [("expired", "reader")], NOW - timedelta(days=40), 10)
 
 
-@pytest.fixture(scope="module")
-def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
+@pytest.fixture(scope="module", params=["recorder", "router"])
+def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
+    """Where the recorder takes keys itself, or a router does in front of it."""
     port = free_port(socket.SOCK_STREAM)
-    folder = make_folder(tmp_path_factory.mktemp("mine") / "keys", port)
+    inside = f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    routed = request.param == "router"
+    folder = make_folder(tmp_path_factory.mktemp("mine") / "keys", port, (inside,) if routed else ())
     make_strangers(folder, make_folder(tmp_path_factory.mktemp("other") / "keys", port))
-    session = zenoh.open(zenoh.Config.from_file(str(folder / "daemon.json")))
+    at_the_door = zenoh.open(zenoh.Config.from_file(str(folder / "daemon.json")))
+    listening = MACHINE.model_copy(update={"zenoh": MACHINE.zenoh.model_copy(update={"listen": [inside]})})
+    session = open_daemon(listening)[0] if routed else at_the_door
     one = Net(folder, port, session)
 
     def answer(query: zenoh.Query) -> None:
@@ -115,6 +123,8 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
         assert answers_to(witness, f"{BASE}/status") == [b"well"]  # so the subscription is known
         yield one
     session.close()
+    if routed:
+        at_the_door.close()
 
 
 def answers_to(session: zenoh.Session, key: str) -> list[bytes]:
@@ -307,7 +317,7 @@ def test_nobody_in_the_list_is_nobody_and_not_everybody() -> None:
         ([], "give the FOLDER"),
         (["KEYS"], "make keys first, with --machine and --host"),
         (["KEYS", "--reader", "rita"], "make keys first"),
-        (["KEYS", "--host", "10.0.0.2"], "--host goes with --machine"),
+        (["KEYS", "--host", "10.0.0.2"], "--host and --router go with --machine"),
         (["KEYS", "--machine", "MACHINE"], "--host 192.168.1.10"),
         (["KEYS", "--machine", "MACHINE", "--host", "a b"], '--host "a b": give an address'),
         (["KEYS", "--machine", "no.toml", "--host", "a"], "no.toml"),

@@ -1,0 +1,18 @@
+# Run as root of an emulated Debian by test_emulated.py. /out has the package, log.mcap, and the machine file of it.
+export PATH=/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin DEBIAN_FRONTEND=noninteractive
+apt-get install --yes /out/tilth_*_arm64.deb
+dpkg --audit
+tilth-setup status
+mkdir -p /etc/tilth /var/lib/tilth/logs
+cp /out/machine.toml /etc/tilth/
+cp /out/log.mcap /var/lib/tilth/logs/
+cd /var/lib/tilth
+tilth check /etc/tilth/machine.toml >/out/check.txt || true
+tilth replay --verify --json logs/log.mcap >/out/verify.json
+
+# What was recorded stays when it is removed, and is asked about when it is purged.
+apt-get remove --yes tilth
+test ! -e /opt/tilth && test ! -e /usr/local/bin/tilth && test -e /etc/tilth/machine.toml
+cmp /out/log.mcap logs/log.mcap
+echo yes | DEBIAN_FRONTEND=readline script --quiet --return --command 'apt-get purge --yes tilth' /out/asked.txt
+test ! -e /etc/tilth && test ! -e /var/lib/tilth
