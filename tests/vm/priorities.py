@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 from tilth.logger import priority
-from tilth.logger.fitting import Worker
 from tilth.logger.compiling import Preparing
+from tilth.logger.fitting import Worker
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.notices import Notice
 from tilth.schemas.sentences import notice_sentence
