@@ -65,7 +65,7 @@ _HALVES = (0.0, 0.5, 1.0)
 class RecordState:
     """State from pose to pose."""
 
-    knots: list[Knot] = field(default_factory=list)  # the last three poses
+    knots: list[Knot] = field(default_factory=list)  # the last four poses
     psi: list[float] = field(default_factory=lambda: [0.0, 0.0])  # last headings, not wrapped
     used: UsedSamples = field(default_factory=UsedSamples)
     settled: int = 0  # segments since the last one that was refused
@@ -95,8 +95,8 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
     knots.append(_knot(state, aligner, pose))
     if len(knots) < 3:
         return None
-    del knots[:-3]
-    start, end, after = knots
+    del knots[:-4]
+    start, end, after = knots[-3:]
     record, reason = Record(start.t_ns), _gap_reason(start, end, after)
     rows = rows_between(state.used, aligner, start, end)
     if not reason:
@@ -106,7 +106,8 @@ def observe(state: RecordState, aligner: Aligner, pose: Pose) -> Segment | None:
         elif aligner.wheel_stands():
             reason = Code.WHEEL_ANGLE_STANDS
         elif start.values and end.values:
-            record = _assemble(start, end, wheel, rows)
+            speeds = _speed(knots[:-3], start, end), _speed([start], end, after)
+            record = _assemble(start, end, speeds, wheel, rows)
     reason = _settle(state, reason or _refusal(start, end, after, record))
     follows = state.usable and not reason
     state.usable = not reason
@@ -238,9 +239,27 @@ def _interpolate(means: list[tuple[float, float]]) -> list[float] | None:
     return out
 
 
-def _assemble(start: Knot, end: Knot, wheel: list[float], rows: list[Row]) -> Record:
+def _speed(before: list[Knot], at: Knot, after: Knot) -> float:
+    """Forward speed at a pose, m/s, by the poses beside it, too: a quarter, a half, a quarter.
+
+    The rate of the speed is an input of the motion, and pulls a folded implement sideways. Between two poses
+    alone it has a noise of 0.16 m/s^2, of these means 0.05. Noise of an input makes the rig look heavier and
+    its tyres softer than they are.
+    """
+    own = at.values[0]
+    if not (before and before[-1].values and after.values):
+        return own
+    if not at.t_ns - before[-1].t_ns == after.t_ns - at.t_ns == ALIGNMENT.pose_ns:
+        return own
+    return 0.25 * before[-1].values[0] + 0.5 * own + 0.25 * after.values[0]
+
+
+def _assemble(
+    start: Knot, end: Knot, speeds: tuple[float, float], wheel: list[float], rows: list[Row]
+) -> Record:
+    """speeds: at the start and at the end, m/s."""
     shares = np.arange(TICKS) / TICKS
-    low, high = np.array(start.values), np.array(end.values)
+    low, high = (np.array([u, *knot.values[1:]]) for u, knot in zip(speeds, (start, end), strict=True))
     ticks = np.empty((TICKS, len(INPUTS)))
     ticks[:, 0] = wheel
     ticks[:, 1:6] = low + np.outer(shares, high - low)

@@ -210,6 +210,28 @@ def test_rows_and_inputs_are_true_at_their_instants(ground: Ground, velocity: fl
     assert sum(len(s.record.rows) for s in out if not s.reason) == state.samples > 1000
 
 
+def test_the_rate_of_the_speed_is_the_rigs_and_not_the_receivers_noise() -> None:
+    """It is an input of the motion: with its noise a folded rig looks heavy, and its tyres soft."""
+    scenario = replace(driven().scenario, noise=1.0, speed_sd=0.1)
+    truth = drive(KNOWN, 3, SECONDS, scenario)
+    start, messages = truth.scenario.utc_start_ns, measurements(KNOWN, truth)
+    by_poses = {p.t_ns: p.tractor.forward_velocity for _, p in posed(KNOWN, messages)}
+    records = [segment.record for segment in record(KNOWN, messages)[1] if not segment.reason]
+    errors, of_poses = [], []
+    for one in records:
+        ends = (one.t_ns, one.end_ns)
+        low, high = (float(np.interp((t - start) * 1e-9, truth.time, truth.states[:, AT["u"]])) for t in ends)
+        first, last = (by_poses[t] for t in ends)
+        assert first is not None and last is not None
+        errors.append((one.ticks[-1, 1] - one.ticks[-2, 1]) / 0.02 - (high - low) / 0.2)
+        of_poses.append((last - first - high + low) / 0.2)
+    assert len(errors) > 50 and np.std(errors) < 0.5 * np.std(of_poses)
+    for one, following in pairwise(records):
+        if following.t_ns == one.end_ns:
+            at_end = 2 * one.ticks[-1, 1] - one.ticks[-2, 1]
+            assert following.ticks[0, 1] == pytest.approx(at_end, abs=1e-9)
+
+
 def test_what_a_swaying_body_does_to_its_antennas_stays_in_the_rows() -> None:
     """The cart's antennas are 3.1 m high; the tractor's receivers report points on the ground. Roll is
     for the filters: the rows say where an antenna is."""
