@@ -14,7 +14,8 @@ dbus-daemon --system --fork
 mount -o remount,ro /sys # NetworkManager waits for udev else, which is not here
 unshare --net sleep infinity &
 phone=$!
-ready 60 "iw phy phy1 set netns $phone"
+ready 60 '[ "$(readlink /proc/$phone/ns/net)" != "$(readlink /proc/self/ns/net)" ]'
+iw phy phy1 set netns $phone
 wpa_supplicant -B -u # as its unit does
 NetworkManager
 ready 120 'nmcli --terse --fields DEVICE,STATE device | grep "wlan0:disconnected"'
