@@ -27,6 +27,7 @@ from tilth.monitor.entry_code import EntryCode, new_code
 LABEL: Final = "etc/tilth/label.toml"
 PROFILES: Final = Path(HOTSPOT).parent
 JOINED: Final = "tilth-network"
+CHANNEL: Final = "6"  # allowed in every country, 12 to 14 are not
 PAGE: Final = "http://10.42.0.1:8117"  # the address that NetworkManager gives a network of its own
 
 
@@ -93,7 +94,10 @@ def label_text(label: Mapping[str, Any]) -> str:
 
 def profile_words(name: str, network: str, passphrase: str, *, own: bool) -> list[str]:
     """Of nmcli, to make the profile. own: of a network that this computer opens, by order only."""
-    mode = ["wifi.mode", "ap", "ipv4.method", "shared"] if own else ["wifi.mode", "infrastructure"]
+    mode = ["wifi.mode", "infrastructure"]
+    if own:
+        # Else NetworkManager draws a channel by the network's name, and not all may be opened everywhere.
+        mode = ["wifi.mode", "ap", "wifi.band", "bg", "wifi.channel", CHANNEL, "ipv4.method", "shared"]
     return [
         "nmcli", "--offline", "connection", "add", "type", "wifi", "con-name", name, "ifname", "*",
         "ssid", network, "autoconnect", "no" if own else "yes", *mode,

@@ -83,6 +83,7 @@ def test_networkmanager_takes_both_networks(tmp_path: Path) -> None:
         found[name].read(profile)
     own, joined = found[Path(HOTSPOT).stem], found[JOINED]
     assert own["wifi"]["mode"] == "ap" and own["ipv4"]["method"] == "shared"
+    assert (own["wifi"]["band"], own["wifi"]["channel"]) == ("bg", "6")
     assert own["connection"]["autoconnect"] == "false"  # the unit opens it, nothing else
     assert own["wifi-security"]["key-mgmt"] == "wpa-psk" and own["wifi-security"]["psk"] == "ABCD-2345-EFGH"
     assert joined["wifi"]["mode"] == "infrastructure" and joined["wifi"]["ssid"] == "Farm"

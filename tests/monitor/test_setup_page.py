@@ -14,6 +14,7 @@ from setting_up import CODE, SettingUp
 from stage import Monitor, Stage
 
 from tilth.logger.machine_file import read_machine
+from tilth.monitor.addresses import network_addresses
 
 pytestmark = [pytest.mark.browser, with_browser]
 
@@ -129,6 +130,28 @@ def test_while_the_network_is_away_the_page_opens_with_what_was_last(browser: Br
             expect_run(page, "● RECORDING", "good")
             expect_old(page)
             context.close()
+
+
+@pytest.mark.skipif(not network_addresses(), reason="this computer has no address in a network")
+def test_over_plain_http_the_page_is_live_and_is_no_app(browser: Browser) -> None:
+    """As browsers have it; what the page does without the worker is its own."""
+    with (
+        Stage(rate=10.0) as stage,
+        closing(Monitor("--connect", stage.endpoint, "--host", network_addresses()[0])) as monitor,
+    ):
+        context = browser.new_context(**SIZES["phone"])
+        page = context.new_page()
+        errors: list[str] = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(monitor.url)
+        expect_run(page, "● RECORDING", "good")
+        assert page.evaluate("() => [isSecureContext, 'serviceWorker' in navigator]") == [False, False]
+        context.set_offline(True)
+        expect_run(page, "NO CONNECTION", "bad")
+        context.set_offline(False)
+        expect_run(page, "● RECORDING", "good")  # an open page keeps running
+        assert errors == []
+        context.close()
 
 
 def test_a_phone_without_the_code_sees_nothing_of_the_live_page(browser: Browser, tmp_path: Path) -> None:

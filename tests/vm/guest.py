@@ -93,15 +93,17 @@ def boot(
     drives: Sequence[Path] = (),
     options: Sequence[str] = (),
     upper: str = "",
+    modules: Sequence[str] = (),
 ) -> Iterator[Guest]:
     """Start a machine that runs a command in the checkout and then ends.
 
     out: a folder, made where there is none. drives: raw images, /dev/vda and so on; what a drive has taken
     from the guest survives `kill`. options: further ones of QEMU. upper: the drive, an ext4, that has what
-    the guest changes of its root, so that another start finds it; else it is in memory.
+    the guest changes of its root, so that another start finds it; else it is in memory. modules: of the
+    kernel, beside MODULES.
     """
     out.mkdir(parents=True, exist_ok=True)
-    kernel, initial = _system()
+    kernel, initial = _system((*MODULES, *modules))
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}:/usr/sbin:/sbin"
     (out / ".status").unlink(missing_ok=True)
     (out / ".run.sh").write_text(
@@ -129,17 +131,17 @@ def boot(
             guest.kill()
 
 
-def _system() -> tuple[Path, Path]:
+def _system(modules: Sequence[str]) -> tuple[Path, Path]:
     """Kernel and initial file system, made once and kept in the cache."""
     script = (HERE / "init.sh").read_bytes()
     package = _newest_kernel()
-    key = hashlib.sha256(b"\0".join((package.encode(), script, *(m.encode() for m in MODULES)))).hexdigest()
+    key = hashlib.sha256(b"\0".join((package.encode(), script, *(m.encode() for m in modules)))).hexdigest()
     folder = CACHE / key[:16]
     kernel, initial = folder / "kernel", folder / "initial.gz"
     if not initial.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=CACHE) as work:
-            made = _make(package, script, Path(work))
+            made = _make(package, script, modules, Path(work))
             with contextlib.suppress(OSError):  # another run was quicker
                 made.rename(folder)
     return kernel, initial
@@ -157,7 +159,7 @@ def _newest_kernel() -> str:
     return known.read_text()
 
 
-def _make(package: str, script: bytes, work: Path) -> Path:
+def _make(package: str, script: bytes, modules: Sequence[str], work: Path) -> Path:
     """A folder with the kernel and the initial file system."""
     _said("apt-get", "download", package, folder=work)
     root, made, tree = work / "root", work / "made", work / "tree"
@@ -165,7 +167,7 @@ def _make(package: str, script: bytes, work: Path) -> Path:
     (version,) = (path.name for path in (root / "lib/modules").iterdir())
     _said("depmod", "-b", str(root), version)
     files: list[str] = []
-    for module in MODULES:
+    for module in modules:
         output = _said("modprobe", "-d", str(root), "-S", version, "--show-depends", module)
         rows = [line.split() for line in output.splitlines()]
         files += [row[1] for row in rows if row[0] == "insmod" and row[1] not in files]
@@ -184,6 +186,30 @@ def _make(package: str, script: bytes, work: Path) -> Path:
     (made / "initial.gz").write_bytes(gzip.compress(packed, 1))
     shutil.copy(root / f"boot/vmlinuz-{version}", made / "kernel")
     return made
+
+
+def unpacked(packages: Sequence[str]) -> Path:
+    """A folder with what is in packages of Debian's, made once and kept in the cache."""
+    folder = CACHE / hashlib.sha256(" ".join(packages).encode()).hexdigest()[:16]
+    if not folder.exists():
+        CACHE.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=CACHE) as work:
+            brought, root = Path(work, "packages"), Path(work, "root")
+            brought.mkdir()
+            (root / "usr").mkdir(parents=True)
+            for name in ("bin", "sbin", "lib"):  # as Debian's root has them
+                (root / "usr" / name).mkdir()
+                (root / name).symlink_to(f"usr/{name}")
+            _said("apt-get", "download", *packages, folder=brought)
+            for package in sorted(brought.iterdir()):
+                files = subprocess.run(
+                    ["dpkg-deb", "--fsys-tarfile", package], capture_output=True, check=True
+                ).stdout
+                into = ["tar", "--extract", "--keep-directory-symlink", "--directory", str(root)]
+                subprocess.run(into, input=files, check=True)
+            with contextlib.suppress(OSError):  # another run was quicker
+                root.rename(folder)
+    return folder
 
 
 def _said(*command: str, folder: Path | None = None) -> str:

@@ -1,8 +1,8 @@
 """The Debian package under a systemd of its own: installed, run, upgraded, rolled back, updated with nobody
 present, taken back, removed.
 
-Of Tilth's wheel alone on this computer's kernel, which takes a minute; and by hand all of it in the virtual
-machine: `pytest -m vm_systemd -n 0 tests/vm/test_package_systemd.py`.
+Of Tilth's wheel alone, in namespaces on this computer's kernel (contained.py): a quarter of an hour where
+the computer is busy. `pytest -m vm_systemd -n 0 tests/vm/test_package_systemd.py`.
 """
 
 import json
