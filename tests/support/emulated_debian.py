@@ -3,6 +3,7 @@
 `run` changes nothing in it for good.
 """
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,7 @@ def make(root: Path) -> None:
     """As far as it is not there. Raises CalledProcessError."""
     if (root / "made").exists():
         return
+    shutil.rmtree(root, ignore_errors=True)  # left by one that was ended
     as_root(["mmdebstrap", "--quiet", "--arch=arm64", *PACKAGES, emulated.DEBIAN, root])
     (root / "made").touch()
 
