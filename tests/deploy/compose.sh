@@ -14,7 +14,7 @@ podman-compose up --detach
 container=$(podman ps --quiet --filter name=recorder)
 ready 120 podman healthcheck run "$container"
 ready 120 tilth keys --try keys/rita.json
-tilth simulate drive.toml --bus udp_multicast:239.74.163.2,hop_limit=0
+tilth simulate drive.toml --bus udp_multicast:239.74.163.2,hop_limit=0 2>&1 | tee sent.txt
 podman inspect "$container" --format '{{.HostConfig.ReadonlyRootfs}} {{.Config.User}} {{.EffectiveCaps}}' | grep 'true tilth \[\]'
 "$PYTHON" -c "import urllib.request; print(urllib.request.urlopen('http://127.0.0.1:8117/').read(200))"
 podman-compose stop

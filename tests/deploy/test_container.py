@@ -66,5 +66,7 @@ def test_recorder_router_and_page_come_up_and_record(
     subprocess.run(spaces, check=True, cwd=folder, env=environment, timeout=1200)
     (log,) = folder.glob("*.mcap")
     assert main(["verify", "--json", str(log)]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["runs"]
-    assert row["frames"] > 10_000
+    (run,) = json.loads(capsys.readouterr().out)
+    sent = re.search(r"(\d+) frames sent", (folder / "sent.txt").read_text())
+    assert sent is not None and int(sent[1]) > 10_000
+    assert run["heard"]["/can/can0"]["count"] == int(sent[1])

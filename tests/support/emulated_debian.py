@@ -3,6 +3,7 @@
 `run` changes nothing in it for good.
 """
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,7 @@ ALL_IDS = "0 0 65536"
 INSIDE = """
 mount -t tmpfs memory "$2"
 mkdir "$2/files" "$2/work" "$2/root"
-mount -t overlay -o "lowerdir=$1,upperdir=$2/files,workdir=$2/work" overlay "$2/root"
+mount -t overlay -o "userxattr,lowerdir=$1,upperdir=$2/files,workdir=$2/work" overlay "$2/root"
 mount --rbind /dev "$2/root/dev"
 mount -t proc none "$2/root/proc"
 mkdir "$2/root/out"
@@ -33,6 +34,7 @@ def make(root: Path) -> None:
     """As far as it is not there. Raises CalledProcessError."""
     if (root / "made").exists():
         return
+    shutil.rmtree(root, ignore_errors=True)  # left by one that was ended
     as_root(["mmdebstrap", "--quiet", "--arch=arm64", *PACKAGES, emulated.DEBIAN, root])
     (root / "made").touch()
 
