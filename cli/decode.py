@@ -59,7 +59,7 @@ class _Decoding:
         try:
             decoder = restore_decoder(self.machine, stored.state_json)
         except NotRestorable as why_not:
-            _say(f"{log.path}: its stored state is not used: {why_not}; going on without it")
+            _say(f"{log.path}: its stored state is not used: {why_not}; continuing without it")
             return
         self.close_counts()
         self.decoder = decoder

@@ -12,7 +12,9 @@ from tilth.replay.readers.rig import machine_in
 from tilth.schemas.machine_toml import MachineFile
 
 
-def add_machine(parser: argparse.ArgumentParser, what: str = "instead of the one in the logs") -> None:
+def add_machine(
+    parser: argparse.ArgumentParser, what: str = "machine file, instead of the one in the logs"
+) -> None:
     """The option of another machine file."""
     parser.add_argument("--machine", type=Path, metavar="M.toml", help=what)
 

@@ -25,7 +25,7 @@ def test_what_was_known_is_used_at_once_within_one_power_session() -> None:
     frames = from_s(20.0, 22.0)
     told = Followed(frames, exchanged([right()[m] for m in Mount], frames[0].t_ns - 20 * SECOND))
     assert told.wrong == 0 and told.first_s is not None and told.first_s < 1.2
-    assert told.said("was silent for 20 s: receivers have the addresses that they had")
+    assert told.said("was silent for 20 s: receivers keep their addresses")
 
 
 ORDERS = list(permutations(range(4)))
@@ -93,5 +93,7 @@ def test_a_twin_accuses_no_receiver(one: Mount, other: Mount) -> None:
     said = "; ".join(told.events)
     assert "two devices claim NAME" in said and "recognised by where they are" in said
     assert told.wrong == 0 and told.whole > 10
-    assert not any(word in said for word in ("where the machine file says", "another's place", "not fit"))
+    assert not any(
+        word in said for word in ("where the machine file says", "another receiver's place", "not fit")
+    )
     assert "no address claim was heard" not in said  # all were
