@@ -32,33 +32,33 @@ COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
     ("status", "say how the daemon that runs is"),
     ("mark", "note an event in the log of the daemon that runs"),
-    ("accept", "accept what the daemon that runs has found moved as it is now"),
-    ("implement", "say which implement is hitched on"),
+    ("accept", "accept the present position of what the running daemon has found moved"),
+    ("implement", "tell the daemon which implement is hitched, or what it carries"),
     ("logs", "list the runs in a log folder, mark those to be kept, add notes"),
-    ("offload", "copy finished runs to a stick or another folder, verified"),
-    ("verify", "read logs fully, and say what is missing or wrong in them"),
+    ("offload", "copy finished runs to a USB stick or another folder, and verify the copies"),
+    ("verify", "read logs completely, and report what is missing or damaged"),
     ("recover", "finish log files that a power cut left unfinished"),
-    ("check", "say before a run what is wrong with configuration, buses, disk and clock"),
-    ("decode", "print the messages of a log, one JSON object a line"),
+    ("check", "check configuration, buses, disk and clock before a run"),
+    ("decode", "print the messages of a log, one JSON object per line"),
     ("replay", "feed logs through the estimators again"),
-    ("fit", "the parameters of each run in logs, and of all together"),
-    ("compare", "what differs beyond chance between two logs or fits"),
-    ("import", "make a log of a table of positions and wheel angles"),
-    ("export", "write what logs hold to Parquet, CSV or MAT files"),
-    ("season", "identify many days of logs, and put them together"),
+    ("fit", "estimate the parameters of each manoeuvre in logs, and of all together"),
+    ("compare", "show what differs beyond chance between two logs or fits"),
+    ("import", "make a log from a table of positions and wheel angles"),
+    ("export", "write the contents of logs to Parquet, CSV or MAT files"),
+    ("season", "identify many days of logs and combine them"),
     ("map", "draw a map of the fields of a season"),
-    ("report", "tell what was driven and found, in one HTML file"),
-    ("demo", "drive a simulated tractor through the whole chain"),
-    ("simulate", "drive a scenario and write its log, and the truth beside it"),
+    ("report", "report what was driven and found, in one HTML file"),
+    ("demo", "run everything with a simulated tractor"),
+    ("simulate", "drive a scenario and write its log and the true values"),
     ("experiment", "propose a plan of experiments, or prompt a driver through one"),
     ("discover", "listen to a bus and draft a machine file"),
-    ("setup", "make a machine file on a page, by phone"),
-    ("calibrate", "find what a drive tells of a rig, and write it into its machine file"),
-    ("keys", "say who may hear a machine on a shared network, and who may mark"),
+    ("setup", "make a machine file on a web page, from a phone"),
+    ("calibrate", "find what a drive reveals about a rig, and write it into its machine file"),
+    ("keys", "manage who may listen to a machine on a shared network, and who may mark"),
     ("mavlink", "send the parameters to a MAVLink autopilot"),
-    ("model", "say how a rig moves, and what a drive can tell of its tyres"),
-    ("sensitivity", "say which parameters of a rig matter, for what"),
-    ("uncertainty", "say how well the outputs of a rig are known, and by what"),
+    ("model", "show how a rig moves, and what a drive can reveal about its tyres"),
+    ("sensitivity", "show how much each output of a rig depends on each parameter"),
+    ("uncertainty", "show how well the outputs of a rig are known, and what limits that"),
     ("monitor", "show a running daemon in a browser"),
     ("foxglove", "show a running daemon in Foxglove or Lichtblick"),
 )
@@ -177,7 +177,7 @@ def add_bus_names(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="LOG=MACHINE",
-        help="what a bus of the log is called in the machine file; LOG= leaves that bus out",
+        help="name of a log's bus in the machine file; LOG= leaves that bus out",
     )
 
 
@@ -205,7 +205,7 @@ def at_least(low: int, what: str = "whole number") -> Callable[[str], int]:
 def add_processes(parser: argparse.ArgumentParser, option: str) -> None:
     """The option of how many there are to be."""
     processes = at_least(1, "number of processes")
-    parser.add_argument(option, type=processes, metavar="N", help="processes (as many as there are cores)")
+    parser.add_argument(option, type=processes, metavar="N", help="number of processes (one per core)")
 
 
 def say(of: str, text: str) -> None:
@@ -244,7 +244,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog=command(),
         description="Records a tractor's CAN buses and estimates how the soil holds the tyres.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="say which version this is")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     wanted = next((word for word in words if not word.startswith("-")), None)
     if wanted is not None and wanted not in dict(COMMANDS):

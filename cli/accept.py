@@ -9,11 +9,11 @@ from tilth.schemas.proto import tilth_pb2 as pb
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "accept",
-        help="accept what the daemon that runs has found moved as it is now",
-        description="Accept what the daemon that runs has found moved as it is now: the daemon logs the new "
-        "value, then uses it. Without a NAME, say what that is.",
+        help="accept the present position of what the running daemon has found moved",
+        description="Accept the present position of what the running daemon has found moved: the daemon "
+        "logs the new value, then uses it. Without NAME, show the findings.",
     )
-    parser.add_argument("name", metavar="NAME", nargs="?", help="as the event says, such as tractor_front")
+    parser.add_argument("name", metavar="NAME", nargs="?", help="as in the event, such as tractor_front")
     add_options(parser)
 
 

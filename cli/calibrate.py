@@ -10,25 +10,36 @@ from tilth.client.link import ENDPOINT
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "calibrate",
-        help="find what a drive tells of a rig, and write it into its machine file",
-        description="Levers, yaw of the antenna pairs, hitch, drawbar, wheel angle, latency and roll zeros "
-        "by a drive of a quarter of an hour; docs/calibrate.md says what to drive. With --live it tells the "
-        "driver what to drive and how far it is, here and on the page. The old file is kept.",
+        help="find what a drive reveals about a rig, and write it into its machine file",
+        description="Find the positions of the receivers, yaw of the antenna pairs, hitch, drawbar, wheel "
+        "angle, latency and roll zeros from a drive of a quarter of an hour; docs/calibrate.md says "
+        "what to drive. With --live, show the driver what to drive and how far it has got, here and on "
+        "the page. The old file is kept.",
     )
     parser.add_argument(
-        "logs", nargs="*", type=Path, metavar="LOG", help="of one rig, in their order; with --live: of before"
+        "logs",
+        nargs="*",
+        type=Path,
+        metavar="LOG",
+        help="logs of one rig, in order; with --live: earlier logs",
     )
-    parser.add_argument("--live", action="store_true", help="beside a running daemon, stage by stage")
-    parser.add_argument("--machine", type=Path, metavar="M.toml", help="instead of the one in the logs")
+    parser.add_argument(
+        "--live", action="store_true", help="guide the driver stage by stage, beside a running daemon"
+    )
+    parser.add_argument(
+        "--machine", type=Path, metavar="M.toml", help="machine file, instead of the one in the logs"
+    )
     parser.add_argument("--out", type=Path, metavar="CALIBRATED.toml", help="the machine file to write")
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="the report, one file")
-    parser.add_argument("--yes", action="store_true", help="change a file that exists without asking")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write the report to this file")
+    parser.add_argument("--yes", action="store_true", help="change an existing file without asking")
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
     live = parser.add_argument_group("with --live")
     live.add_argument("--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"the daemon ({ENDPOINT})")
-    live.add_argument("--config", type=Path, metavar="KEY.json", help="an operator's key, of `tilth keys`")
-    live.add_argument("--prefix", default="tilth", metavar="P", help="of [zenoh] in the machine file (tilth)")
+    live.add_argument("--config", type=Path, metavar="KEY.json", help="an operator's key from `tilth keys`")
+    live.add_argument(
+        "--prefix", default="tilth", metavar="P", help="prefix in [zenoh] of the machine file (tilth)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,16 +13,16 @@ from tilth.schemas.rule_of_thumb import DRAWING
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "check",
-        help="say before a run what is wrong",
-        description="Say before a run what is wrong with configuration, buses, disk, clock and Zenoh.",
+        help="check everything before a run",
+        description="Check configuration, buses, disk, clock and Zenoh before a run.",
     )
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.add_argument(
-        "--seconds", type=duration, default=2.0, metavar="N", help="listen to the buses so long (2)"
+        "--seconds", type=duration, default=2.0, metavar="N", help="how long to listen to the buses (2)"
     )
     parser.add_argument(
-        "--log", type=Path, metavar="DIR", help="folder of the log, instead of the machine file's"
+        "--log", type=Path, metavar="DIR", help="log folder, instead of the one in the machine file"
     )
 
 

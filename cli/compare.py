@@ -44,15 +44,16 @@ NO_FAULT = (
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "compare",
-        help="what differs beyond chance between two logs or fits; or a fit beside published values",
-        epilog="exit status: 1 where two logs or fits differ beyond chance; 0 beside published values",
+        help="show what differs beyond chance between two logs or fits, or compare a fit with published "
+        "values",
+        epilog="exit status: 1 if two logs or fits differ beyond chance; 0 with published values",
     )
     parser.add_argument(
-        "first", type=Path, metavar="LOG|FIRST.json", help="a log, or what `tilth fit --json` gave"
+        "first", type=Path, metavar="LOG|FIRST.json", help="a log, or the output of `tilth fit --json`"
     )
     parser.add_argument(
         "second", type=Path, metavar="LOG|SECOND.json|published|VALUES.toml",
-        help="the same; or `published`, the table that comes with tilth; or published values of your own",
+        help="the same; or `published`, the table that comes with tilth; or a file of published values",
     )  # fmt: skip
     parser.add_argument(
         "--machine",
@@ -60,7 +61,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         default=[],
         type=Path,
         metavar="M.toml",
-        help="instead of the one in the logs; twice: one for each",
+        help="machine file, instead of the one in the logs; give it twice for one each",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
 

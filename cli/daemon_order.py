@@ -34,11 +34,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--machine",
         type=Path,
         metavar="MACHINE.toml",
-        help="of the daemon, where several are heard or it has [zenoh] settings of its own",
+        help="machine file of the daemon, if several are running or it has its own [zenoh] settings",
     )
-    parser.add_argument("--endpoint", metavar="TCP/HOST:PORT", help="where the daemon listens")
+    parser.add_argument("--endpoint", metavar="TCP/HOST:PORT", help="address of the daemon")
     parser.add_argument(
-        "--config", type=Path, metavar="KEY.json", help="of `tilth keys`, where the daemon wants one"
+        "--config", type=Path, metavar="KEY.json", help="key from `tilth keys`, if the daemon requires one"
     )
 
 

@@ -59,7 +59,7 @@ class _Decoding:
         try:
             decoder = restore_decoder(self.machine, stored.state_json)
         except NotRestorable as why_not:
-            _say(f"{log.path}: its stored state is not used: {why_not}; going on without it")
+            _say(f"{log.path}: its stored state is not used: {why_not}; continuing without it")
             return
         self.close_counts()
         self.decoder = decoder
@@ -77,9 +77,9 @@ class _Decoding:
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "decode",
-        help="print the messages of a log, one a line; on a terminal, their summary",
-        description="Print the messages of a log, one a line; on a terminal, who sent what how often. At "
-        "the end, on stderr, what was not decoded.",
+        help="print the messages of a log, one per line; on a terminal, a summary",
+        description="Print the messages of a log, one per line; on a terminal, a summary of who sent what "
+        "and how often. At the end, report on stderr what was not decoded.",
         epilog=_decoded(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -88,13 +88,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--machine",
         type=Path,
         metavar="M.toml",
-        help="whose sensors these are; a log of tilth's knows its own",
+        help="machine file that describes the sensors; a log of tilth contains it",
     )
     add_bus_names(parser)
     shown = parser.add_mutually_exclusive_group()
-    shown.add_argument("--json", action="store_true", help="one JSON object a line")
+    shown.add_argument("--json", action="store_true", help="one JSON object per line")
     shown.add_argument(
-        "--lines", action="store_true", help="the messages on a terminal, too, not their summary"
+        "--lines", action="store_true", help="the messages instead of the summary, also on a terminal"
     )
 
 

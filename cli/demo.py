@@ -40,8 +40,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "demo",
         help="run everything on a simulated tractor",
         description="A simulated tractor sends on a CAN bus over loopback. The real daemon logs it, "
-        "estimates and publishes. At the end each estimate is shown next to the truth. Needs no hardware and "
-        "no privileges.",
+        "estimates and publishes. At the end each estimate is shown next to the true value. Needs no "
+        "hardware and no privileges.",
     )
     parser.add_argument(
         "--seconds", type=duration, default=None, metavar="N", help="seconds to drive, in real time (90)"
@@ -49,8 +49,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--guidance",
         action="store_true",
-        help="instead: a controller uses the live estimates to keep the implement on its line, over soil "
-        "that gets softer half-way, compared with fixed gains (4 minutes of driving, half a minute of "
+        help="let a controller use the live estimates to keep the implement on its line, over soil that "
+        "gets softer half-way, compared with fixed gains (4 minutes of driving, half a minute of "
         "preparation)",
     )
     parser.add_argument(
@@ -67,13 +67,11 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument(
         "--spatial",
         action="store_true",
-        help="a three-dimensional tractor that rolls on its tyres over uneven ground; its physics are not "
-        "those of the estimators (needs the extra 'spatial')",
+        help="use a three-dimensional tractor that rolls on its tyres over uneven ground, with other "
+        "physics than the estimators' (needs the extra 'spatial')",
     )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="which rig and drive (1)")
-    parser.add_argument(
-        "--log", type=Path, default=Path("logs"), metavar="DIR", help="folder of the log (logs)"
-    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="choose another rig and drive (1)")
+    parser.add_argument("--log", type=Path, default=Path("logs"), metavar="DIR", help="log folder (logs)")
     parser.add_argument("--no-page", action="store_true", help="do not serve the live page")
     add_host(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout, the rest on stderr")

@@ -54,7 +54,7 @@ def add_simulation(parser: argparse.ArgumentParser) -> None:
     """The options of which speeds, models and outputs are asked for."""
     add_speed_and_model(parser, SPEEDS)
     parser.add_argument(
-        "--outputs", action="append", default=[], metavar="NAME,…", help=f"of {', '.join(NAMES)} (all)"
+        "--outputs", action="append", default=[], metavar="NAME,…", help=f"outputs: {', '.join(NAMES)} (all)"
     )
 
 
@@ -65,7 +65,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         "--input",
         choices=[row.name for row in MANOEUVRES],
         default=STEP,
-        help=f"what the wheels do, to 10 degrees ({STEP}). {meanings}",
+        help=f"manoeuvre of the wheels, to 10 degrees ({STEP}). {meanings}",
     )
 
 

@@ -37,8 +37,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "discover",
         help="listen to a bus and draft a machine file",
-        description="Say who speaks on these buses and draft a machine file. Drive a few turns meanwhile, so "
-        "that the wheel angle shows. Nothing is ever sent.",
+        description="List the devices on these buses and draft a machine file. Drive a few turns "
+        "meanwhile, so that the wheel angle shows. Nothing is ever sent.",
     )
     parser.add_argument(
         "logs", nargs="*", type=Path, metavar="LOG", help="recorded logs, instead of listening"
@@ -48,24 +48,26 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         action="append",
         default=[],
         metavar="INTERFACE:CHANNEL[,key=value…]",
-        help="such as socketcan:can0 or slcan:/dev/ttyUSB0,bitrate=250000; may be given several times",
+        help="bus, such as socketcan:can0 or slcan:/dev/ttyUSB0,bitrate=250000; may be given several times",
     )
     parser.add_argument("--seconds", type=duration, default=30.0, metavar="N", help="how long to listen (30)")
     parser.add_argument(
         "--scale",
         type=_weights,
         metavar="FRONT,REAR,AXLE,TONGUE",
-        help="weights, kg: the axles of the tractor alone, the implement's axle and its tongue; with --tape, "
-        "the draft has masses, places of the CGs, and yaw inertias by a rule of thumb",
+        help="weights in kg: the axles of the tractor alone, the implement's axle and its tongue; with "
+        "--tape, the draft has masses, places of the CGs, and yaw inertias by a rule of thumb",
     )
     parser.add_argument(
         "--tape",
         type=_lengths,
         metavar="WHEELBASE,HITCH,DRAWBAR",
-        help="lengths, m: the wheelbase, the hitch behind the rear axle, hitch to implement's axle",
+        help="lengths in m: wheelbase, rear axle to hitch, hitch to the implement's axle",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the draft there, not to the screen")
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the draft to FILE, not to the screen")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object to stdout, everything else to stderr"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -49,48 +49,50 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "experiment",
         help="propose a plan of experiments, or prompt a driver through one",
-        description="With PLAN.toml, beside a running daemon: prompts a driver through the plan, here and on "
-        "the page, and marks the log. It never steers, and starts nothing by itself. With --propose: writes "
-        "the plan whose runs tell most of what is not known yet.",
+        description="With PLAN.toml, beside a running daemon: prompts a driver through the plan, here and "
+        "on the page, and marks the log. It never steers, and starts nothing by itself. With "
+        "--propose: writes the plan whose runs reveal most of what is not known yet.",
     )
     parser.add_argument("plan", nargs="?", type=Path, metavar="PLAN.toml", help="the plan to drive")
     parser.add_argument("--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"the daemon ({ENDPOINT})")
-    parser.add_argument("--config", type=Path, metavar="KEY.json", help="an operator's key, of `tilth keys`")
+    parser.add_argument("--config", type=Path, metavar="KEY.json", help="an operator's key from `tilth keys`")
     parser.add_argument(
-        "--prefix", default="tilth", metavar="P", help="of [zenoh] in the machine file (tilth)"
+        "--prefix", default="tilth", metavar="P", help="prefix in [zenoh] of the machine file (tilth)"
     )
     parser.add_argument(
-        "--start-at", type=int, default=1, metavar="N", help="go on with run N of the order, after a quit"
+        "--start-at", type=int, default=1, metavar="N", help="continue with run N of the order, after a quit"
     )
     parser.add_argument(
-        "--try", dest="tries", type=int, default=1, metavar="K", help="of that run, with the next one (1)"
+        "--try", dest="tries", type=int, default=1, metavar="K", help="number of the next try of that run (1)"
     )
     parser.add_argument(
         "--corner", type=_corner, metavar="LAT,LON,HEADING",
-        help="where the field is, degrees: write --corner=…, as a prompter that was quit does",
+        help="where the field is, in degrees; write --corner=… as printed by a prompter that was quit",
     )  # fmt: skip
     parser.add_argument(
         "--check", action="store_true",
-        help="only say whether the plan fits the rig of --machine and its field, without a daemon",
+        help="only check whether the plan fits the rig of --machine and its field, without a daemon",
     )  # fmt: skip
     new = parser.add_argument_group("a new plan")
-    new.add_argument("--propose", action="store_true", help="write one instead")
-    new.add_argument("--machine", type=Path, metavar="M.toml", help="of the rig that is to drive it")
+    new.add_argument("--propose", action="store_true", help="write a plan instead")
     new.add_argument(
-        "--from", dest="logs", nargs="+", type=Path, default=[], metavar="LOG", help="what was driven before"
+        "--machine", type=Path, metavar="M.toml", help="machine file of the rig that will drive it"
     )
-    new.add_argument("--out", type=Path, metavar="PLAN.toml", help="where to write it")
-    new.add_argument("--speed", type=duration, metavar="M/S", help="of all runs (4.5)")
-    new.add_argument("--seconds", type=duration, metavar="S", help="of each run, at most, 8 to 60 (20)")
-    new.add_argument("--replicates", type=int, metavar="N", help="of each run (3)")
-    new.add_argument("--runs", type=int, metavar="N", help="how many kinds (3)")
-    new.add_argument("--kind", action="append", choices=KINDS, help="only these; again for more")
-    new.add_argument("--seed", type=int, metavar="N", help="of the order (1)")
+    new.add_argument(
+        "--from", dest="logs", nargs="+", type=Path, default=[], metavar="LOG", help="earlier drives"
+    )
+    new.add_argument("--out", type=Path, metavar="PLAN.toml", help="write the plan to this file")
+    new.add_argument("--speed", type=duration, metavar="M/S", help="speed of all runs (4.5)")
+    new.add_argument("--seconds", type=duration, metavar="S", help="longest run, 8 to 60 (20)")
+    new.add_argument("--replicates", type=int, metavar="N", help="replicates of each run (3)")
+    new.add_argument("--runs", type=int, metavar="N", help="number of kinds (3)")
+    new.add_argument("--kind", action="append", choices=KINDS, help="only this kind; may be repeated")
+    new.add_argument("--seed", type=int, metavar="N", help="seed of the order (1)")
     new.add_argument(
         "--field", type=_field, metavar="LxW",
-        help="length and width of the field, m (400x80)",
+        help="length and width of the field in m (400x80)",
     )  # fmt: skip
-    new.add_argument("--headland", type=float, metavar="M", help="at both ends (20)")
+    new.add_argument("--headland", type=float, metavar="M", help="headland at both ends (20)")
     new.add_argument("--angle", type=duration, metavar="DEG", help="limit of the wheels (12)")
     parser.set_defaults(**_OF_A_PROPOSAL)
 

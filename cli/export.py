@@ -29,30 +29,46 @@ _NS = {"us": 1e3, "ms": 1e6, "s": 1e9}
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "export",
-        help="write what logs hold to Parquet, CSV or MAT files",
-        description="Write what logs hold to files for other programs: DIR/RUN/ gets a file for each "
-        "channel, or one for all on a common clock, and export.json, which says what they are. Logs of other "
-        "programs are replayed first.",
+        help="write the contents of logs to Parquet, CSV or MAT files",
+        description="Write the contents of logs to files for other programs. DIR/RUN/ gets a file for each "
+        "channel, or one for all on a common clock, and export.json, which describes them. Logs of "
+        "other programs are replayed first.",
         epilog=f"channels: {', '.join(NAMES)}",
     )
-    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="parts of a run become one")
-    parser.add_argument("--to", required=True, choices=tuple(FORMATS), help="what is written")
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="folder for the runs' folders")
     parser.add_argument(
-        "--clock", type=_period, metavar="20ms", help="all in one file, at these times (each at its own)"
+        "logs", nargs="+", type=log_path, metavar="LOG", help="logs; the parts of a run are combined"
+    )
+    parser.add_argument("--to", required=True, choices=tuple(FORMATS), help="format of the files")
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="DIR", help="folder that gets a folder per run"
+    )
+    parser.add_argument(
+        "--clock",
+        type=_period,
+        metavar="20ms",
+        help="all channels in one file, at this interval (each at its own times)",
     )
     parser.add_argument(
         "--channels",
         type=lambda text: tuple(filter(None, text.split(","))),
         default=(),
         metavar="pose,…",
-        help="only these; a * stands for anything (all)",
+        help="only these channels; * stands for anything (all)",
     )
-    parser.add_argument("--from", type=_seconds, default=0.0, dest="from_s", metavar="S", help="of the run")
     parser.add_argument(
-        "--until", type=_seconds, default=math.inf, dest="until_s", metavar="S", help="of the run"
+        "--from", type=_seconds, default=0.0, dest="from_s", metavar="S", help="start, in seconds of the run"
     )
-    add_machine(parser, "needed where tilth did not write the log; else it is replayed with this one")
+    parser.add_argument(
+        "--until",
+        type=_seconds,
+        default=math.inf,
+        dest="until_s",
+        metavar="S",
+        help="end, in seconds of the run",
+    )
+    add_machine(
+        parser, "machine file; required if tilth did not write the log; otherwise the log is replayed with it"
+    )
     add_bus_names(parser)
     parser.add_argument("--json", action="store_true", help="the summary as one JSON object")
 

@@ -28,27 +28,33 @@ _say = partial(say, "fit")
 
 
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    parser = subparsers.add_parser("fit", help="the parameters of each run in logs, and of all together")
+    parser = subparsers.add_parser(
+        "fit", help="estimate the parameters of each manoeuvre in logs, and of all together"
+    )
     parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG")
     add_machine(parser)
-    add_segments(parser, "from A to B, seconds since the N-th run began (1); else marks, else what is found")
+    add_segments(
+        parser,
+        "fit from A to B, in seconds since the start of the N-th run (1); default: marks, "
+        "or else the segments found",
+    )
     parser.add_argument(
         "--kind",
         action="append",
         default=[],
         choices=KINDS,
-        help="only such segments; again for more",
+        help="only segments of this kind; may be repeated",
     )
-    parser.add_argument("--two-step", action="store_true", help="the dissertation's two steps beside it")
+    parser.add_argument("--two-step", action="store_true", help="add the dissertation's two-step method")
     add_processes(parser, "--jobs")
     add_bus_names(parser)
     shown = parser.add_mutually_exclusive_group()
-    shown.add_argument("--json", action="store_true", help="one JSON object to stdout; SI")
+    shown.add_argument("--json", action="store_true", help="one JSON object to stdout, in SI units")
     shown.add_argument(
         "--csv", action="store_true", help="the table as CSV to stdout: estimates and 95 %% intervals"
     )
     shown.add_argument("--latex", action="store_true", help="the table as a LaTeX tabular to stdout")
-    shown.add_argument("--all", action="store_true", help="a table of its own for each segment")
+    shown.add_argument("--all", action="store_true", help="a separate table for each segment")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -29,10 +29,10 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "foxglove",
         help="show a running daemon in Foxglove or Lichtblick",
-        description="Serves what a running daemon publishes over the Foxglove WebSocket protocol, as topics "
-        "of the names and schemas that a log has. What is in the log alone is not served: frames, "
-        "measurements, fits. /experiment is served beside `tilth experiment`, and is in no log. A process of "
-        "its own: it can come and go without touching the recorder. Until Ctrl-C.",
+        description="Serves the publications of a running daemon over the Foxglove WebSocket protocol, as "
+        "topics with the names and schemas of a log. Frames, measurements and fits, which only the log "
+        "has, are not served. /experiment is served beside `tilth experiment`, and is in no log. It is "
+        "a separate process that can start and stop without touching the recorder. Until Ctrl-C.",
     )
     add_daemon(parser)
     add_address(parser, PORT)
@@ -41,8 +41,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         action="append",
         default=[],
         metavar="ORIGIN",
-        help="of a viewer in a browser that may connect, such as https://app.foxglove.dev; viewers with a "
-        "window of their own need none",
+        help="web origin of a viewer in a browser that may connect, such as https://app.foxglove.dev; "
+        "viewers with their own window need none",
     )
 
 

@@ -13,11 +13,11 @@ from tilth.schemas.spread import plus_minus
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "implement",
-        help="say which implement is hitched on, or what it carries",
-        description="Say to the daemon that runs which implement is hitched on: its run ends, and one with "
-        "that implement begins. Or say what it carries. Without either, say what is known.",
+        help="tell the daemon which implement is hitched, or what it carries",
+        description="Tell the running daemon which implement is hitched: its run ends, and one with that "
+        "implement begins. Or tell it what the implement carries. Without either, show what is known.",
     )
-    parser.add_argument("name", metavar="NAME", nargs="?", help="as [implement] name in its file")
+    parser.add_argument("name", metavar="NAME", nargs="?", help="name in [implement] of its file")
     parser.add_argument(
         "--load", metavar="LOAD", help='full, half, empty, unknown, or a mass with its unit, such as "6.2 t"'
     )

@@ -17,9 +17,9 @@ _say = partial(say, "import")
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "import",
-        help="make a log of a table of measurements",
-        description="Make a log of a table (.csv, .parquet, .mat) of positions and wheel angles over time. "
-        "docs/logs.md shows a map file: which column is what, in which unit.",
+        help="make a log from a table of measurements",
+        description="Make a log from a table (.csv, .parquet, .mat) of positions and wheel angles over "
+        "time. docs/logs.md shows a map file: which column is what, in which unit.",
     )
     parser.add_argument("table", type=Path, metavar="TABLE")
     parser.add_argument("--map", type=Path, required=True, metavar="MAP.toml", help="which column is what")

@@ -15,10 +15,10 @@ from tilth.schemas.readable import reason_of
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "keys",
-        help="say who may hear a machine on a shared network, and who may mark",
-        description="Make and revoke keys for a shared network (mutual TLS). The first time with --machine "
-        "and --host; without any option: who has keys. Everything is in FOLDER: keep it off the tractor, "
-        "give daemon.json to the recorder and <name>.json to who it is for.",
+        help="manage who may listen to a machine on a shared network, and who may mark",
+        description="Make and revoke keys for a shared network (mutual TLS). Use --machine and --host the "
+        "first time. Without options, list who has keys. Everything is in FOLDER: keep it off the "
+        "tractor, give daemon.json to the recorder and <name>.json to the person or program it is for.",
     )
     parser.add_argument("folder", type=Path, nargs="?", metavar="FOLDER", help="where the keys are kept")
     parser.add_argument("--machine", type=Path, metavar="MACHINE.toml", help="new keys, for this machine")

@@ -12,7 +12,9 @@ from tilth.replay.readers.rig import machine_in
 from tilth.schemas.machine_toml import MachineFile
 
 
-def add_machine(parser: argparse.ArgumentParser, what: str = "instead of the one in the logs") -> None:
+def add_machine(
+    parser: argparse.ArgumentParser, what: str = "machine file, instead of the one in the logs"
+) -> None:
     """The option of another machine file."""
     parser.add_argument("--machine", type=Path, metavar="M.toml", help=what)
 
@@ -21,11 +23,12 @@ def add_segments(parser: argparse.ArgumentParser, what: str) -> None:
     """The options of stretches of driving by their times, and by their marks."""
     parser.add_argument(
         "--segment", action="append", default=[], type=_times, metavar="[N:]A:B",
-        help=f"{what}; again for more",
+        help=f"{what}; may be repeated",
     )  # fmt: skip
     parser.add_argument(
         "--mark", action="append", default=[], metavar="NAME",
-        help='fit only what is between marks "NAME start" and "NAME end"; * is anything; again for more',
+        help='fit only what is between marks "NAME start" and "NAME end"; * stands for anything; may be '
+        "repeated",
     )  # fmt: skip
 
 

@@ -40,9 +40,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         description="List the runs in a log folder with length, size, sensors alive at the end, and faults.",
     )
     parser.add_argument("folder", nargs="?", type=Path, default=Path("logs"), metavar="DIR", help="(logs)")
-    parser.add_argument("--keep", metavar="RUN", help="mark it: it is never deleted to make room")
-    parser.add_argument("--release", metavar="RUN", help="take that mark away")
-    parser.add_argument("--note", nargs=2, metavar=("RUN", "TEXT"), help="add what you know of it")
+    parser.add_argument("--keep", metavar="RUN", help="mark a run, so that it is never deleted to make room")
+    parser.add_argument("--release", metavar="RUN", help="remove that mark")
+    parser.add_argument("--note", nargs=2, metavar=("RUN", "TEXT"), help="add a note to a run")
     parser.add_argument("--json", action="store_true", help="for programs")
 
 

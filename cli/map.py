@@ -22,8 +22,9 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "map",
         help="draw a map of the fields of a season",
-        description="Make a map of what `season` has left in DIR: along each stretch, and in cells between "
-        "them, how the soil holds each axle of one tractor with its implement, and how sure that is.",
+        description="Make a map from the results of `season` in DIR: how the soil holds each axle of one "
+        "tractor with its implement, and how sure that is, along each stretch and in cells between the "
+        "stretches.",
     )
     parser.add_argument("season", type=Path, metavar="DIR", help="the season's folder")
     parser.add_argument(
@@ -33,11 +34,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         metavar="FILE",
         help=f"a new file that ends in {', '.join(ENDINGS)}; the last is for [estimation] field_map",
     )
-    parser.add_argument("--machine", metavar="NAME", help="of several machines")
-    parser.add_argument("--implement", metavar="NAME", help="of several implements; how its name begins")
+    parser.add_argument("--machine", metavar="NAME", help="choose one of several machines")
+    parser.add_argument(
+        "--implement", metavar="NAME", help="choose one of several implements, by the start of its name"
+    )
     parser.add_argument("--field", type=at_least(1, "number of a field"), metavar="N", help="this field only")
     parser.add_argument(
-        "--cell", type=between(1.0, 100.0, "m"), default=10.0, metavar="M", help="size of a cell, m (10)"
+        "--cell", type=between(1.0, 100.0, "m"), default=10.0, metavar="M", help="size of a cell in m (10)"
     )
 
 

@@ -10,9 +10,9 @@ from tilth.schemas.proto import tilth_pb2 as pb
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "mark",
-        help="note an event in the log of the daemon that runs",
-        description="Note a text, with time and place, in the log of the daemon that runs; done when it is "
-        "on the disk there.",
+        help="write a note into the log of the running daemon",
+        description="Write a text, with time and place, into the log of the running daemon. The command "
+        "ends when the text is on the daemon's disk.",
     )
     parser.add_argument("text", metavar="TEXT", help="one line, at most 1 kB")
     add_options(parser)

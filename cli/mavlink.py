@@ -25,7 +25,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "mavlink",
         help="send the parameters to a MAVLink autopilot",
         description="Sends the recommended estimate, with status and age, once a second as "
-        "NAMED_VALUE_FLOAT and DEBUG_FLOAT_ARRAY. What may not be used is NaN. Until Ctrl-C.",
+        "NAMED_VALUE_FLOAT and DEBUG_FLOAT_ARRAY. Numbers that must not be used are NaN. Until Ctrl-C.",
     )
     add_daemon(parser)
     parser.add_argument(

@@ -28,9 +28,9 @@ _say = partial(say, "model")
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "model",
-        help="say how a rig moves, and what a drive can tell of its tyres",
-        description="Say of a rig, before it is driven, how it turns, settles and answers to steering, what "
-        "a regulator can make of it, and how well a manoeuvre can tell its tyres' parameters.",
+        help="show how a rig moves, and what a drive can reveal about its tyres",
+        description="Show, before a rig is driven, how it turns, settles and responds to steering, what a "
+        "regulator can make of it, and how well a manoeuvre can reveal its tyres' parameters.",
     )
     drive = Drive()
     parser.add_argument("machine", type=Path, nargs="?", metavar="MACHINE.toml")
@@ -44,31 +44,34 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "--manoeuvre",
         choices=[row.name for row in MANOEUVRES],
         default=drive.manoeuvre.name,
-        help=f"what is driven to learn the tyres ({drive.manoeuvre.name})",
+        help=f"manoeuvre to learn the tyres ({drive.manoeuvre.name})",
     )
     parser.add_argument(
         "--sensors",
         choices=list(SENSOR_SETS),
         default=drive.sensors,
-        help=f"what is measured meanwhile ({drive.sensors})",
+        help=f"what is measured ({drive.sensors})",
     )
     parser.add_argument(
         "--wheel-angle",
         type=between(0.1, 20.0, "degrees"),
         default=math.degrees(drive.amplitude),
         metavar="DEG",
-        help="how far the manoeuvre turns the wheels (5)",
+        help="wheel angle of the manoeuvre (5)",
     )
     parser.add_argument(
         "--seconds",
         type=between(2.0, 300.0, "s"),
         default=drive.seconds,
         metavar="N",
-        help="how long the manoeuvre is (30)",
+        help="duration of the manoeuvre (30)",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw it, too: a file .svg, .png or .pdf; it is overwritten"
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="also draw it to FILE (.svg, .png or .pdf), which is overwritten",
     )
 
 

@@ -20,14 +20,14 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "monitor",
         help="show a running daemon in a browser, or recorded runs",
-        description="Serves a page that shows what a running daemon says: sensors, recording, map, "
-        "parameters. A process of its own: it can come and go without touching the recorder. Until Ctrl-C. "
-        "With LOG or FOLDER the page plays recorded runs instead, at 1 to 100 times real time.",
+        description="Serves a page that shows a running daemon: sensors, recording, map, parameters. It is "
+        "a separate process that can start and stop without touching the recorder. Until Ctrl-C. With "
+        "LOG or FOLDER the page plays recorded runs instead, at 1 to 100 times real time.",
     )
     parser.add_argument(
-        "logs", nargs="*", type=Path, metavar="LOG|FOLDER", help="play these runs; a log of nearly any kind"
+        "logs", nargs="*", type=Path, metavar="LOG|FOLDER", help="runs to play; nearly any kind of log"
     )
-    add_daemon(parser, "; with LOG: a machine file, for logs that hold none")
+    add_daemon(parser, "; with LOG: a machine file, for logs without one")
     add_bus_names(parser)
     add_address(parser, PORT)
 

@@ -16,14 +16,18 @@ _say = partial(say, "offload")
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "offload",
-        help="copy finished runs to a stick or another folder, verified",
+        help="copy finished runs to a USB stick or another folder, and verify the copies",
         description="Copy the files of finished runs to DEST, read each back and compare it, and note that "
-        "it has a copy: such runs may be deleted when room is needed. Interrupted, it goes on where it was.",
+        "it has a copy: such runs may be deleted when space is needed. If interrupted, the command "
+        "continues where it was.",
     )
-    parser.add_argument("dest", type=Path, metavar="DEST", help="a folder that is there; a mounted stick")
+    parser.add_argument("dest", type=Path, metavar="DEST", help="an existing folder, such as a mounted stick")
     parser.add_argument("--log", type=Path, default=Path("logs"), metavar="DIR", help="the log folder (logs)")
     parser.add_argument(
-        "--run", action="append", metavar="RUN", help="only these, as `tilth logs` names them"
+        "--run",
+        action="append",
+        metavar="RUN",
+        help="only this run, as `tilth logs` names it; may be repeated",
     )
 
 

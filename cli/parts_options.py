@@ -14,7 +14,7 @@ def add_parts(parser: argparse.ArgumentParser, only: str = "") -> None:
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",
-        help=f"{only}on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786",
+        help=f"{only}compute on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786",
     )
     parser.add_argument(
         "--dask-tls",

@@ -16,16 +16,16 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "recover",
         help="finish log files that a power cut left unfinished",
-        description="Finish log files that a power cut or a full disk has left unfinished: then any reader "
-        "of MCAP opens them. Nothing is taken out of them; one that is whole, or damaged in its middle, is "
-        "not touched. The daemon does so at its start.",
+        description="Finish log files that a power cut or a full disk has left unfinished, so that any "
+        "MCAP reader opens them. Nothing is removed from them. A file that is intact, or damaged in "
+        "its middle, is not changed. The daemon does the same at its start.",
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
     parser.add_argument(
         "--out",
         type=Path,
         metavar="NEW.mcap",
-        help="leave FILE as it is, and write here what can be read of it",
+        help="leave FILE as it is, and write its readable part here",
     )
 
 

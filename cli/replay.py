@@ -49,11 +49,13 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="read in the order given")
     parser.add_argument(
         "--machine", type=Path, metavar="M.toml",
-        help="instead of the one in the log; needed where tilth did not write it",
+        help="machine file, instead of the one in the log; required if tilth did not write the log",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="OUT.mcap", help="write frames and results to a new log")
     parser.add_argument("--publish", action="store_true", help="publish on Zenoh, under the replay prefix")
-    parser.add_argument("--rate", type=_rate, default=None, metavar="1|max|N", help="times real time (max)")
+    parser.add_argument(
+        "--rate", type=_rate, default=None, metavar="1|max|N", help="speed, as a multiple of real time (max)"
+    )
     parser.add_argument(
         "--verify", action="store_true", help="compare with the results that were logged live"
     )

@@ -36,28 +36,34 @@ _say = partial(say, "report")
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "report",
-        help="tell what was driven and found, in one HTML file",
-        description="Write what logs tell into one HTML file that opens anywhere, with every number in a "
-        "JSON file beside it: the run at a glance, segments, parameters with their uncertainty, what is not "
+        help="report what was driven and found, in one HTML file",
+        description="Write one HTML file about logs that opens anywhere, and a JSON file with every "
+        "number: the run at a glance, segments, parameters with their uncertainty, what is not "
         "determined, what differs from the machine file. Logs of a run become one part of the report.",
     )
-    parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG", help="of any kind that replay reads")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.html", help="a new file")
-    parser.add_argument("--pdf", action="store_true", help="FILE.pdf as well")
     parser.add_argument(
-        "--figures", type=Path, metavar="DIR", help="each figure as SVG and PDF into a new folder"
+        "logs", nargs="+", type=log_path, metavar="LOG", help="logs of any kind that replay reads"
     )
-    add_machine(parser, "instead of the one in the log; needed where tilth did not write it")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.html", help="a new file")
+    parser.add_argument("--pdf", action="store_true", help="also write FILE.pdf")
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="write each figure as SVG and PDF into a new folder"
+    )
+    add_machine(
+        parser, "machine file, instead of the one in the log; required if tilth did not write the log"
+    )
     add_segments(parser, "report these seconds of the N-th log instead of the segments found")
     parser.add_argument(
         "--fit",
         type=_most_fitted,
         metavar="N|all",
-        help=f"fit so many of the segments found in each log ({MOST_FITTED}), those that steer most; "
-        "without it the runs of a plan of experiments are all fitted, and so are segments that are named",
+        help=f"fit at most N of the segments found in each log ({MOST_FITTED}), those that steer most; "
+        "without this option all runs of a plan of experiments, and all named segments, are fitted",
     )
     add_bus_names(parser)
-    parser.add_argument("--json", action="store_true", help="the report as one JSON object to stdout, too")
+    parser.add_argument(
+        "--json", action="store_true", help="also write the report as one JSON object to stdout"
+    )
 
 
 def _most_fitted(text: str) -> int:

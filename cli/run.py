@@ -26,18 +26,17 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     parser.add_argument(
         "machine", type=Path, metavar="MACHINE.toml",
-        help="of a tractor with several implements MACHINE.toml+NAME begins with that one, else the last",
+        help="MACHINE.toml+NAME starts with that implement of a tractor with several, instead of the last "
+        "one",
     )  # fmt: skip
     parser.add_argument(
-        "--log", type=Path, metavar="DIR", help="folder of the log, instead of the machine file's"
+        "--log", type=Path, metavar="DIR", help="log folder, instead of the one in the machine file"
     )
     parser.add_argument("--no-zenoh", action="store_true", help="publish nothing")
-    parser.add_argument("--plain", action="store_true", help="plain lines also in a terminal")
-    parser.add_argument("--fresh", action="store_true", help="do not go on from what earlier runs learned")
-    parser.add_argument(
-        "--note", default="", metavar="TEXT", help="what is to be known of it, kept in the log"
-    )
-    parser.add_argument("--seconds", type=duration, metavar="N", help="stop by itself")
+    parser.add_argument("--plain", action="store_true", help="print plain lines, also in a terminal")
+    parser.add_argument("--fresh", action="store_true", help="ignore what earlier runs have learned")
+    parser.add_argument("--note", default="", metavar="TEXT", help="a note about the run, kept in the log")
+    parser.add_argument("--seconds", type=duration, metavar="N", help="stop after N seconds")
 
 
 def run(args: argparse.Namespace) -> int:

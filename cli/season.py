@@ -31,11 +31,11 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "The logs are only read.",
     )
     parser.add_argument(
-        "logs", nargs="+", metavar="LOG", help="logs, and folders of logs; also as s3://BUCKET/FOLDER"
+        "logs", nargs="+", metavar="LOG", help="logs and folders of logs, also as s3://BUCKET/FOLDER"
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="the season's folder")
     parser.add_argument("--retry", action="store_true", help="try failed runs again")
-    add_machine(parser, "of logs that hold none")
+    add_machine(parser, "machine file for logs without one")
     add_parts(parser)
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
 

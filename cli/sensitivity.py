@@ -50,8 +50,8 @@ ACROSS = 4  # columns of long names in a terminal
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "sensitivity",
-        help="say which parameters of a rig matter, for what",
-        description="Say how much each output of a rig changes with each parameter of its machine file, "
+        help="show how much each output of a rig depends on each parameter",
+        description="Show how much each output of a rig changes with each parameter of its machine file, "
         "after the wheels turn by 10 degrees at once, or in another manoeuvre: per cent of the output "
         "for each per cent of the parameter.",
     )
@@ -62,7 +62,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         action="append",
         default=[],
         metavar="NAME,…",
-        help=f"of {', '.join(MACHINE_PARAMETERS)} (all)",
+        help=f"parameters: {', '.join(MACHINE_PARAMETERS)} (all)",
     )
     parser.add_argument(
         "--step", choices=STEPS, default=STEPS[0], help="the dissertation's step (1%%), or derivatives"
@@ -72,13 +72,16 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         action="append",
         type=between(2 * STEP_S, LONGEST * STEP_S, "s"),
         metavar="N",
-        help="of simulation; once for all speeds, or once for each (twice the settling time)",
+        help="duration of the simulation; once for all speeds, or once for each (twice the settling time)",
     )
     add_input(parser)
     add_global(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
+        "--out",
+        type=Path,
+        metavar="FILE.html",
+        help="write a report with figures to this new file, and JSON beside it",
     )
 
 

@@ -50,28 +50,28 @@ def add_global(parser: argparse.ArgumentParser) -> None:
         "--global",
         dest="over_all",
         action="store_true",
-        help="also over many rigs: the grid of 390,625 of the dissertation's table 6.2, minutes a speed; "
-        "what is interrupted goes on where it was",
+        help="also over many rigs: the grid of 390,625 of the dissertation's table 6.2, minutes per speed; "
+        "an interrupted computation continues where it was",
     )
     parser.add_argument(
         "--points",
         type=at_least(FEWEST),
         metavar="N",
-        help="with --global: so many random rigs of the box instead of the grid",
+        help="with --global: N random rigs of the box instead of the grid",
     )
     parser.add_argument(
         "--box",
         action="append",
         default=[],
         metavar="NAME=LOW:HIGH",
-        help="with --global: only these vary, between these, SI; again for more",
+        help="with --global: vary only this parameter, within these limits, in SI units; may be repeated",
     )
     parser.add_argument(
         "--from",
         dest="log",
         type=Path,
         metavar="LOG",
-        help="with --global: rigs as the log's last estimates and their covariance have them",
+        help="with --global: draw rigs from the log's last estimates and their covariance",
     )
     parser.add_argument(
         "--no-indices",

@@ -45,27 +45,27 @@ SETUP: Final = "setup"  # what the live page is told, so that it shows the way t
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "setup",
-        help="make a machine file on a page, by phone or in a browser here",
-        description="Serves the live page, and pages on which the machine file is made step by step of what "
-        "is heard on the buses and of what you measure. Nothing is shown to who has not typed the code. "
-        "Nothing is ever sent on a bus. Until Ctrl-C.",
+        help="make a machine file on a web page, from a phone or in a browser here",
+        description="Serves the live page, and pages that make the machine file step by step from the "
+        "messages on the buses and from your measurements. Nothing is shown until the code has been "
+        "entered. Nothing is ever sent on a bus. Until Ctrl-C.",
     )
-    parser.add_argument("file", type=Path, metavar="MACHINE.toml", help="to be made, or made anew")
+    parser.add_argument("file", type=Path, metavar="MACHINE.toml", help="file to make, or to make again")
     parser.add_argument(
-        "--label", type=Path, metavar="FILE", help='with code = "…"; else a code is drawn and printed'
+        "--label", type=Path, metavar="FILE", help='file with code = "…"; otherwise a random code is printed'
     )
     parser.add_argument(
         "--bus",
         action="append",
         default=[],
         metavar="INTERFACE:CHANNEL[,key=value…]",
-        help="to listen to; else every CAN interface of this computer",
+        help="bus to listen to; default: every CAN interface of this computer",
     )
     parser.add_argument(
         "--in-use",
         type=Path,
         metavar="FILE",
-        help="the machine file that is used by now, where it is another",
+        help="the machine file that is in use, if it is another one",
     )
     add_daemon(parser)
     add_address(parser, PORT)

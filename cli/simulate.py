@@ -40,33 +40,38 @@ _say = partial(say, "simulate")
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "simulate",
-        help="drive a scenario: write its log and the truth beside it, or put it on a bus",
-        description="Drive a scenario file (examples/scenarios/ has some) on the plant that it names, write "
-        "the frames that a recorder would have taken; LOG.truth.json and LOG.truth.csv say what was true. Or "
-        "send them in real time on a bus on which no receiver is heard; docs/buses.md says which.",
+        help="drive a scenario: write its log and the true values, or send it on a bus",
+        description="Drive a scenario file (examples/scenarios/ has some) on the simulator that it names, "
+        "and write the frames that a recorder would have received; LOG.truth.json and LOG.truth.csv "
+        "contain the true values. Or send them in real time on a bus without receivers; docs/buses.md "
+        "says which.",
     )
     parser.add_argument("scenario", type=Path, metavar="SCENARIO.toml")
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--out", type=Path, metavar="LOG", help="new file; .mcap, or .log for candump text")
+    where.add_argument("--out", type=Path, metavar="LOG", help="new file: .mcap, or .log for candump text")
     where.add_argument(
         "--bus",
         action="append",
         default=[],
         metavar="INTERFACE:CHANNEL[,key=value…]",
-        help="send in real time there, such as socketcan:vcan0; once for each bus of the machine file",
+        help="send in real time on this bus, such as socketcan:vcan0; once for each bus of the machine file",
     )
-    parser.add_argument("--send", action="store_true", help="also where it leaves this computer: on a wire")
-    parser.add_argument("--seed", type=int, metavar="N", help="another rig and another drive (the file's)")
-    parser.add_argument("--seconds", type=float, metavar="N", help="of driving (the file's)")
+    parser.add_argument("--send", action="store_true", help="send also on a bus outside this computer")
+    parser.add_argument("--seed", type=int, metavar="N", help="choose another rig and drive (the file's)")
+    parser.add_argument("--seconds", type=float, metavar="N", help="duration of the drive (the file's)")
     rigs = parser.add_mutually_exclusive_group()
-    rigs.add_argument("--machine", type=Path, metavar="M.toml", help="(the file's, or the packaged one)")
+    rigs.add_argument(
+        "--machine", type=Path, metavar="M.toml", help="machine file (the scenario's, or the packaged one)"
+    )
     rigs.add_argument(
         "--fleet",
         type=int,
         metavar="N",
-        help="rig N of the virtual fleet; its owner's file: LOG.machine.toml",
+        help="rig N of the virtual fleet; its machine file becomes LOG.machine.toml",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout, all else to stderr")
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object to stdout, everything else to stderr"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -54,9 +54,9 @@ _UNITS = {output.name: output.unit for output in OUTPUTS}
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "uncertainty",
-        help="say how well the outputs of a rig are known",
-        description="Say how well each output of a rig is known, with what is known of its parameters, and "
-        "which parameter costs how much of that. The wheels turn by 10 degrees at once, or in another "
+        help="show how well the outputs of a rig are known",
+        description="Show how well each output of a rig is known, given the uncertainty of its parameters, "
+        "and how much each parameter contributes. The wheels turn by 10 degrees at once, or in another "
         "manoeuvre.",
     )
     parser.add_argument("machine", type=Path, metavar="MACHINE.toml")
@@ -66,34 +66,38 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         dest="log",
         type=Path,
         metavar="LOG",
-        help="what the log's last estimates know, with their correlations, instead of the machine file",
+        help="use the log's last estimates, with their correlations, instead of the machine file",
     )
     source.add_argument(
         "--sd",
         action="append",
         default=[],
         metavar="NAME=SD",
-        help="only this is not known, so well: a share (C_af=10%%) or in SI units; again for more",
+        help="treat only this parameter as uncertain, with this sd: a share (C_af=10%%) or in SI units; "
+        "may be repeated",
     )
     parser.add_argument(
         "--correlation",
         action="append",
         default=[],
         metavar="A,B=R",
-        help="of two that --sd names, from -1 to 1; again for more",
+        help="correlation of two parameters of --sd, from -1 to 1; may be repeated",
     )
     parser.add_argument(
         "--want",
         action="append",
         default=[],
         metavar="OUTPUT=HALF",
-        help="half of the 95 %% interval that is wanted of an output (off_tracking=0.04, r_t=5%%): says how "
-        "well each parameter must be known for it; again for more",
+        help="wanted half-width of the 95 %% interval of an output (off_tracking=0.04, r_t=5%%): says how "
+        "well each parameter must be known for it; may be repeated",
     )
     _add_simulation(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE.html", help="a report with figures, a new file; JSON beside it"
+        "--out",
+        type=Path,
+        metavar="FILE.html",
+        help="write a report with figures to this new file, and JSON beside it",
     )
 
 
@@ -104,7 +108,7 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
         "--seconds",
         type=between(2 * STEP_S, LONGEST * STEP_S, "s"),
         metavar="N",
-        help="of simulation (twice the settling time)",
+        help="duration of the simulation (twice the settling time)",
     )
     add_input(parser)
     parser.add_argument(
@@ -112,7 +116,7 @@ def _add_simulation(parser: argparse.ArgumentParser) -> None:
         type=at_least(FEWEST_DRAWS),
         default=DRAWS,
         metavar="N",
-        help=f"rigs that are drawn at each speed ({DRAWS})",
+        help=f"number of random rigs at each speed ({DRAWS})",
     )
 
 

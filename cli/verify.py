@@ -17,10 +17,10 @@ STEPPED = "clock_stepped"  # a fault that the steps themselves tell
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "verify",
-        help="read logs fully, and say what is missing or wrong in them",
-        description="Read Tilth's own logs fully, every checksum compared: gaps of each bus and sensor, "
-        "frames that were dropped, steps of the computer's clock, damage, missing parts. Give the files of a "
-        "run in order.",
+        help="read logs completely, and report what is missing or damaged",
+        description="Read Tilth's own logs completely and compare every checksum. Reports gaps of each bus "
+        "and sensor, dropped frames, steps of the computer's clock, damage, missing parts. Give the "
+        "files of a run in order.",
     )
     parser.add_argument("logs", nargs="+", type=log_path, metavar="LOG")
     parser.add_argument("--json", action="store_true", help="for programs")

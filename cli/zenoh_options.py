@@ -11,15 +11,18 @@ from tilth.monitor.addresses import is_loopback
 def add_daemon(parser: argparse.ArgumentParser, also: str = "") -> None:
     """Which daemon to hear. also: what else --machine may be."""
     parser.add_argument(
-        "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"where the daemon listens ({ENDPOINT})"
+        "--connect", default=ENDPOINT, metavar="ENDPOINT", help=f"address of the daemon ({ENDPOINT})"
     )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration instead")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="a Zenoh configuration file instead")
     parser.add_argument(
-        "--machine", default="", metavar="NAME", help=f"of the machine file (the one that runs){also}"
+        "--machine",
+        default="",
+        metavar="NAME",
+        help=f"machine name of the machine file (the running one){also}",
     )
-    parser.add_argument("--replay", action="store_true", help="with --machine: its replay or simulation")
+    parser.add_argument("--replay", action="store_true", help="with --machine: show its replay or simulation")
     parser.add_argument(
-        "--prefix", default="tilth", metavar="P", help="of the machine file's [zenoh] (tilth)"
+        "--prefix", default="tilth", metavar="P", help="prefix in [zenoh] of the machine file (tilth)"
     )
 
 
@@ -27,7 +30,7 @@ def add_address(parser: argparse.ArgumentParser, port: int) -> None:
     """Where to serve."""
     add_host(parser)
     parser.add_argument(
-        "--port", type=int, default=port, metavar="N", help=f"0 for any that is free ({port})"
+        "--port", type=int, default=port, metavar="N", help=f"port; 0 for any free one ({port})"
     )
 
 
@@ -37,7 +40,7 @@ def add_host(parser: argparse.ArgumentParser) -> None:
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="of this computer to serve at (127.0.0.1: this computer alone; 0.0.0.0: all in its networks)",
+        help="address to serve at (127.0.0.1: only this computer can connect; 0.0.0.0: all in its networks)",
     )
 
 

@@ -15,7 +15,8 @@ PARKED: Final[Mapping[str, str]] = {
     "c": "hitch, along", "aside_i": "hitch, across",
 }  # fmt: skip
 FOUND: Final[Mapping[str, tuple[str, str]]] = {
-    "wheel_zero": ("the wheels' zero off by {}", "°"), "pair_t": ("the pair on the tractor off by {}", "°"),
+    "wheel_zero": ("the zero of the wheel angle off by {}", "°"),
+    "pair_t": ("the pair on the tractor off by {}", "°"),
     "pair_i": ("the pair on the implement off by {}", "°"),
     "latency": ("a latency of {} beyond the file's", "s"),
     "aside_i": ("the implement's receivers off by {}", "m"), "e": ("the implement's axle off by {}", "m"),
@@ -35,13 +36,13 @@ def measured(n: Sequence[float], k: int, unit: str = "") -> str:
 
 def _parked(of: Sequence[str], n: Sequence[float]) -> str:
     what = PARKED.get(of[1], of[1])
-    return f"{what} is off by {n[0]:+.2f} m where the rig stands still: {of[0]}?"
+    return f"{what} is off by {n[0]:+.2f} m while the rig stands still: {of[0]}?"
 
 
 def _wheel_scale(of: Sequence[str], n: Sequence[float]) -> str:
     larger = max(n[0], 1.0 / max(n[0], 1e-3))
     size = f"{n[0]:.2g} times" if n[0] >= 1.0 else f"1/{larger:.2g} of"
-    text = f"the wheels' angle is {size} what the yaw rate asks for: {of[0]}?"
+    text = f"the wheel angle is {size} what the yaw rate requires: {of[0]}?"
     return f"{text} (degrees per bit, not radians)" if DEGREES[0] < larger < DEGREES[1] else text
 
 
@@ -60,7 +61,7 @@ def _how_far(key: str, number: str, n: Sequence[float]) -> str:
         words, unit = FOUND[number]
         return words.format(measured(n, 0, unit))
     low, high = interval(math.exp(min(n[0], LARGEST)), min(n[1], LARGEST))
-    what = "reading of the wheels' angle" if number == "wheel_gain" else key.partition(" or ")[0]
+    what = "reading of the wheel angle" if number == "wheel_gain" else key.partition(" or ")[0]
     return f"{what} {low:.2f} to {high:.2f} times what the file says (95 %)"
 
 
@@ -87,23 +88,21 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
         f"{of[1]} is not where the machine file says: its position, or the lengths to the hitch?"
     ),
     Code.RECEIVER_EXCHANGED: lambda of, n: (
-        f"{of[1]} stands in another's place: are names or sources exchanged?"
+        f"{of[1]} is in another receiver's place: are names or sources exchanged?"
     ),
     Code.RECEIVER_AT_ANOTHER_TIME: lambda of, n: (
         f"{of[1]} seems to report at another time than the file allows: its latency or position?"
     ),
     Code.OFF_WHERE_PARKED: _parked,
     Code.NO_LIKELY_LATENCY: lambda of, n: f"distances between the receivers fit no likely latency: {of[0]}?",
-    Code.WHEEL_MOVES_ALONE: lambda of, n: f"the wheels' angle moves, the tractor does not turn: {of[0]}?",
-    Code.WHEEL_OPPOSITE: lambda of, n: (
-        f"the wheels' angle answers the yaw rate with the opposite sign: {of[0]}?"
-    ),
+    Code.WHEEL_MOVES_ALONE: lambda of, n: f"the wheel angle changes, but the tractor does not turn: {of[0]}?",
+    Code.WHEEL_OPPOSITE: lambda of, n: f"the wheel angle has the opposite sign of the yaw rate: {of[0]}?",
     Code.WHEEL_SCALE: _wheel_scale,
     Code.WHEEL_UNRELATED: lambda of, n: (
-        f"the wheels' angle has nothing to do with the yaw rate: {of[0]} (id, bytes, delay)?"
+        f"the wheel angle is unrelated to the yaw rate: {of[0]} (id, bytes, delay)?"
     ),
     Code.FARTHER_THAN_SPEED: lambda of, n: (
-        f"the {of[1]} goes {n[0]:.2f} times as far as its receivers' speed says: {of[0]}?"
+        f"the {of[1]} travels {n[0]:.2f} times as far as its receivers' speed indicates: {of[0]}?"
     ),
     Code.ROLL_FOLLOWS_TURNS: lambda of, n: (
         f"the {of[1]}'s measured roll follows its turns by {math.degrees(n[0]):+.1f}° per m/s² of lateral "
@@ -117,7 +116,7 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
     Code.NOT_CORRECTED: _leans("false"),
     Code.ROLL_CORRECTION_UNCLEAR: lambda of, n: (
         "the hitch moves with roll as if roll_corrected were wrong on the tractor or on the implement: "
-        "compare it with what their receivers are set to"
+        "compare it with the settings of their receivers"
     ),
     Code.YAW_RATE_SMOOTHED: lambda of, n: (
         f"{of[1]}: its turn rate lags by {measured(n, 0, 's')} and is not used, and what was learned "
@@ -133,15 +132,15 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
     ),
     Code.DRAWBAR_OFF: _off(
         lambda of, n: (
-            f"the implement's receivers {plus_minus(-n[0], n[1], 'm')} further behind the hitch than the "
-            "file has them"
+            f"the implement's receivers {plus_minus(-n[0], n[1], 'm')} further behind the hitch than in "
+            "the file"
         )
     ),
     Code.MOST_REJECTED: lambda of, n: (
-        f"{100 * n[0]:.0f} % of what the receivers say fits no rig like this: receiver, tractor or implement?"
+        f"{100 * n[0]:.0f} % of the receivers' readings do not fit this rig: receiver, tractor or implement?"
     ),
     Code.NO_TYRE: lambda of, n: (
-        f"a stiffness of {n[0]:.2g} times its load per rad is no tyre's ({of[1]}): {of[0]}?"
+        f"no tyre has a stiffness of {n[0]:.2g} times its load per rad ({of[1]}): {of[0]}?"
     ),
     Code.RECEIVER_MOVED: _moved(
         lambda of, n: (
@@ -154,7 +153,7 @@ DIAGNOSES: Final[Mapping[Code, Words]] = {
         )
     ),
     Code.WHEEL_SLIPPED: _moved(
-        lambda of, n: f"the wheels' sensor has slipped by {measured(n, 0, '°')}: {of[0]}"
+        lambda of, n: f"the wheel-angle sensor has slipped by {measured(n, 0, '°')}: {of[0]}"
     ),
     Code.DRAWBAR_CHANGED: _moved(
         lambda of, n: f"the drawbar is {plus_minus(-n[0], n[len(n) // 2], 'm')} longer: {of[0]}"

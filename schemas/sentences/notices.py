@@ -27,18 +27,18 @@ BEGUN: Final[Mapping[str, str]] = {
     FlagKind.NO_RTK: "has no RTK fix",
     FlagKind.NO_FIX: "has no position fix",
     FlagKind.REPEATING: "repeats old positions",
-    FlagKind.SWAPPED: "stands in another's place: two receivers are exchanged",
+    FlagKind.SWAPPED: "is in another receiver's place: two receivers are exchanged",
     FlagKind.MOVED: "is not where the machine file says",
     FlagKind.DOUBTFUL: "does not fit the rig at this instant",
-    FlagKind.LATE: "is late; its position is carried on",
-    FlagKind.LATENCY: "reports later than the machine file allows, or was moved along",
-    FlagKind.SPIKES: "sends readings that jump to and fro; they are left out: look at its cable and plugs",
-    FlagKind.FIX_UNKNOWN: "has stopped telling its fix",
+    FlagKind.LATE: "is late; its position is extrapolated",
+    FlagKind.LATENCY: "reports later than the machine file allows, or was moved along the body",
+    FlagKind.SPIKES: "sends readings that jump; they are left out: check its cable and plugs",
+    FlagKind.FIX_UNKNOWN: "no longer reports its fix",
 }
 """Of a flag that begins, said of its sensor."""
 BEGUN_ALONE: Final[Mapping[str, str]] = {
     FlagKind.LATE_FRAMES: (
-        "frames came late: this computer, or the one that sends, is busy; meanwhile nothing is learned"
+        "frames came late: this computer or the sending one is busy; nothing is learned meanwhile"
     ),
 }
 """The same, said of the rig."""
@@ -131,22 +131,22 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.SILENCE: "no frame for {silence_s:.1f} s",
     NoticeCode.MESSAGES_MISSING: "{file}: {why}",
     NoticeCode.STEPPED_BACK: (
-        "the clock of the log stepped back by {by_s:.1f} s; positions are aligned anew"
+        "the clock of the log stepped back by {by_s:.1f} s; positions are aligned again"
     ),
     NoticeCode.COARSE_STAMPS: _coarse,
     NoticeCode.BUS_CLOCK_APART: _bus_apart,
     NoticeCode.BUSES_APART: (
-        "by the UTC of the receivers the clock of {ahead} is {apart_s:.1f} s ahead of that of {behind}: what "
-        "they say does not belong together; use one clock"
+        "by the UTC of the receivers the clock of {ahead} is {apart_s:.1f} s ahead of that of {behind}: "
+        "their messages cannot be combined; use one clock"
     ),
     NoticeCode.STRAY_FRAMES: _stray,
     NoticeCode.RECEIVER_AT: "{mount} at address {source:.0f}",
     NoticeCode.ADDRESS: "{source:.0f} on {bus}",
     NoticeCode.ADDRESSES_KEPT: (
-        "{bus} was silent for {silence_s:.0f} s: receivers have the addresses that they had: {parts}"
+        "{bus} was silent for {silence_s:.0f} s: receivers keep their addresses: {parts}"
     ),
     NoticeCode.ADDRESSES_DOUBTED: (
-        "receivers may not have the addresses that they had: they are looked for by where they are"
+        "receivers may have other addresses than before: they are identified by their positions"
     ),
     NoticeCode.ADDRESSES_CONFIRMED: (
         "receivers have the addresses that they had before, as positions over {travel:.1f} m of travel "
@@ -156,18 +156,18 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
         "receivers have other addresses than before, as positions over {travel:.1f} m of travel show: {parts}"
     ),
     NoticeCode.ADDRESSES_UNREADABLE: (
-        "who had which address in earlier runs is not known: {file} cannot be used ({error})"
+        "the addresses of earlier runs are not known: {file} cannot be used ({error})"
     ),
     NoticeCode.RECOGNISED: (
-        "no address claim tells who is who: receivers are recognised by where they are over {travel:.1f} m "
-        "of travel: {parts}"
+        "no address claim identifies the receivers: they are recognised by their positions over "
+        "{travel:.1f} m of travel: {parts}"
     ),
     NoticeCode.NONE_FITS: (
-        "no address claim tells who they are, nor do positions from addresses {parts}: none of their "
-        "assignments fits the rig; give them by source in the machine file, or switch them off and on"
+        "neither address claims nor positions identify the receivers at addresses {parts}: no assignment "
+        "fits the rig; give them by source in the machine file, or switch them off and on"
     ),
     NoticeCode.SEVERAL_FIT: (
-        "no address claim tells who they are, nor do positions from addresses {parts}: more than one "
+        "neither address claims nor positions identify the receivers at addresses {parts}: more than one "
         "assignment fits the rig; give them by source in the machine file, or switch them off and on"
     ),
     NoticeCode.TWIN_NAME: (
@@ -184,7 +184,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.NOT_HEARD: "not heard: {mounts}",
     NoticeCode.NO_WHEEL_ANGLE: "not heard: the wheel angle",
     NoticeCode.WITHOUT_RTK: "without RTK fix: {mounts}",
-    NoticeCode.CONTRADICTED: "{ended}{hitched} Until this is over no number is given",
+    NoticeCode.CONTRADICTED: "{ended}{hitched} No number is given until this is over",
     NoticeCode.FITS_AGAIN: "{key}: over; the data fit the machine file again",
     NoticeCode.MOVED: "{reason}; {ago_min:.0f} min ago. " + _ACCEPT,
     NoticeCode.MOVED_EARLIER: "an earlier run found: {reason}. " + _ACCEPT,
@@ -192,28 +192,29 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.TYRES_CHANGED: "{reason}. No estimate uses it; accept it as it is now ({which})",
     NoticeCode.TYRES_BACK: "the tyres' radius is what it was before: {key}",
     NoticeCode.ACCEPTED: "accepted: {reason}; for the machine file: {line}",
-    NoticeCode.LOAD_TOLD: "the implement carries {carried}; told by: {source}",
+    NoticeCode.LOAD_TOLD: "the implement carries {carried}; source: {source}",
     NoticeCode.LOAD_CHANGED: (
-        "the implement carries more or less than before: its tyres hold otherwise over its mass, the "
-        "tractor's as before. C_ai has a number again when somebody says the load, as by `tilth implement "
-        "--load full`"
+        "the implement carries more or less than before: the stiffness of its tyres over its mass has "
+        "changed, that of the tractor's tyres has not. C_ai gets a number again when the load is "
+        "entered, such as with `tilth implement --load full`"
     ),
     NoticeCode.LOAD_OR_SOIL: (
         "the implement carries more or less than before, or the soil holds the tyres differently: driving "
-        "does not tell which. Say the load, as by `tilth implement --load full`"
+        "does not show which. Enter the load, such as with `tilth implement --load full`"
     ),
     NoticeCode.SOIL_CHANGED: (
-        "the soil holds the tyres differently{listed}: what was learned of it before is given up"
+        "the soil holds the tyres differently{listed}: what was learned before is discarded"
     ),
     NoticeCode.SOIL_CHANGING: (
-        "the soil holds the tyres differently: what was learned of it before is given up; by how much shows "
-        "as driving tells it"
+        "the soil holds the tyres differently: what was learned before is discarded; further driving shows "
+        "by how much"
     ),
     NoticeCode.STIFFNESSES_ANEW: (
-        "outputs no longer fit what {turning_s:.0f} s of turning taught: the stiffnesses are learned anew"
+        "measurements no longer fit what {turning_s:.0f} s of turning showed: the stiffnesses are learned "
+        "again"
     ),
     NoticeCode.FACTOR: "{parameter} × {low:.2f} to {high:.2f}",
-    NoticeCode.STORED_STATE_REFUSED: "{file}: its stored state is not used: {why}; going on without it",
+    NoticeCode.STORED_STATE_REFUSED: "{file}: its stored state is not used: {why}; continuing without it",
     NoticeCode.ACCEPTED_EARLIER: (
         "{what} is as it was accepted in an earlier run, not as the machine file says"
     ),
@@ -232,7 +233,7 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.BUS_TROUBLE: "{bus}: {why}",
     NoticeCode.CACHE_REFUSED: "{why}",
     NoticeCode.CLOCK_SET: (
-        "the computer's clock was set by {by_s:+.3f} s; the log's own clock goes on evenly"
+        "the computer's clock was set by {by_s:+.3f} s; the log's own clock is not affected"
     ),
     NoticeCode.CLOCK_WRONG: _clock_wrong,
     NoticeCode.COMPILER_FAILED: (
@@ -254,30 +255,31 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.FITS_AT_OWN_PRIORITY: "fits are made at the recorder's own priority: {why}",
     NoticeCode.FIT_FAILED: "a fit of {method} failed: {why}",
     NoticeCode.IMPLEMENT_ASSUMED: (
-        "of {all} nobody has said which is hitched on: {implement} is assumed; choose it on the page or by "
-        "`tilth implement NAME`"
+        "nobody has said which of {all} is hitched: {implement} is assumed; choose the implement on the "
+        "page or with `tilth implement NAME`"
     ),
-    NoticeCode.IMPLEMENT_CHANGED: "{implement} is hitched on: a new run begins",
+    NoticeCode.IMPLEMENT_CHANGED: "{implement} is hitched: a new run begins",
     NoticeCode.IMPLEMENT_HEARD: (
-        "a device of {implement} is heard (NAME {device}), and none of the implement before: {implement} is "
-        "hitched on, and a new run begins"
+        "a device of {implement} is heard (NAME {device}), and none of the previous implement: {implement} "
+        "is hitched, and a new run begins"
     ),
     NoticeCode.IMPLEMENT_LENGTHS: (
-        "driving tells of {implement}: hitch to axle {drawbar}, hitch to the middle of its receivers "
-        "{receivers}. These are used; estimates begin anew. A tape from hitch pin to axle, and its mass "
-        "on a scale, make them better"
+        "driving has shown the lengths of {implement}: hitch to axle {drawbar}, hitch to the middle of its "
+        "receivers {receivers}. These are used; estimation starts again. For better estimates, measure "
+        "from hitch pin to axle with a tape, and weigh the implement"
     ),
     NoticeCode.IMPLEMENT_STRANGE: (
-        "{device} (NAME {name}) is heard, which no implement's file has; estimates are as of {implement}. If "
-        'it is that one, write names = ["{name}"] into [implement] of its file. If not, give it a file: '
-        "measure its mass, its track, hitch to axle and where its receivers stand; `tilth calibrate` finds "
-        "the lengths from driving"
+        "{device} (NAME {name}) is heard, but is in no implement's file; estimates are for {implement}. If "
+        'the device belongs to it, write names = ["{name}"] into [implement] of its file. If not, make '
+        "a file for the new implement: measure its mass, its track, hitch to axle and the places of "
+        "its receivers; `tilth calibrate` finds the lengths from driving"
     ),
     NoticeCode.IMPLEMENT_UNDESCRIBED: (
-        "{device} (NAME {name}) is heard, which no implement's file has, and none of {implement}: a run "
-        "begins with an implement that nobody has described. First driving finds its lengths: stand, "
-        "then turn to both sides, at two speeds. Give it a file: measure its mass, its track, hitch to "
-        'axle and where its receivers stand, and write names = ["{name}"] into its [implement]'
+        "{device} (NAME {name}) is heard, but is in no implement's file, and no device of {implement} is "
+        "heard: a run begins with an undescribed implement. First, driving finds its lengths: stand, "
+        "then turn to both sides, at two speeds. Make a file for it: measure its mass, its track, "
+        'hitch to axle and the places of its receivers, and write names = ["{name}"] into its '
+        "[implement]"
     ),
     NoticeCode.KERNELS_COMPILED: (
         "kernels were compiled for {compiling_s:.0f} s while frames were recorded; estimates begin"
@@ -292,12 +294,12 @@ NOTICES: Final[Mapping[NoticeCode, Words]] = {
     NoticeCode.RECORDING_AGAIN: "recording again in {file}; {missed:.0f} frames were not recorded",
     NoticeCode.REPORT_AT_OWN_PRIORITY: "the report is made at the recorder's own priority: {why}",
     NoticeCode.REPORT_MADE: "report of the run so far: {file}",
-    NoticeCode.RESUMED: "{methods} go on from what was learned until {hours:.1f} h ago",
+    NoticeCode.RESUMED: "{methods} continue from what was learned until {hours:.1f} h ago",
     NoticeCode.FIELD_MAP: "place and tracker begin from the field map, last driven {hours:.1f} h ago",
     NoticeCode.UNFINISHED: "{file} was left unfinished and stays so: {why}",
     NoticeCode.UNLOCKED: (
-        "{folder}: this file system has no locks; it is recorded all the same, but no other program can be "
-        "sure that a file is being written: do not use `tilth recover` there meanwhile"
+        "{folder}: this file system has no locks; recording continues, but other programs cannot see that "
+        "a file is being written: do not use `tilth recover` there meanwhile"
     ),
     NoticeCode.UPDATED: "updated from {before} to {version}, which records",
     NoticeCode.UPDATE_READY: (

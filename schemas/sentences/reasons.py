@@ -33,7 +33,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.RECEIVER_LATE: "late receiver",
     Code.FRAMES_LATE: "frames came late",
     Code.WHEEL_ANGLE_STANDS: (
-        "the wheel-angle sensor stands still while the rig turns: sensor, linkage, plug or cable"
+        "the wheel-angle sensor does not change while the rig turns: check sensor, linkage, plug and cable"
     ),
     Code.HEADING_NOT_OF_PAIR: "heading not from two receivers",
     Code.TURNING_IN_OR_OUT: "turning in or out",
@@ -42,13 +42,12 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.HELD: "the wheels are held at one angle: steer to both sides",
     Code.NOT_STRAIGHT: "not a straight row",
     Code.LITTLE_OWN_STEERING: (
-        "in the rows the steering answers the ground and does next to nothing of its own: a dither of 0.3"
-        " degrees would help"
+        "in the rows the steering only reacts to the ground: a dither of 0.3 degrees would help"
     ),
     Code.TOO_SHORT: "too short a time without a gap",
-    Code.FIT_OVERTAKEN: "the fit of the window before was late",
+    Code.FIT_OVERTAKEN: "the fit of the previous window was late",
     Code.CONTRADICTED: "the data contradict the machine file",
-    Code.INPUTS_NOT_FINITE: "inputs are no numbers",
+    Code.INPUTS_NOT_FINITE: "an input is not a number",
     Code.RESULT_NOT_FINITE: "the result is not a number",
     Code.FILTER_SETTLING: "filter settling",
     Code.FILTER_OUT_OF_BOUNDS: "filter left its bounds",
@@ -57,23 +56,25 @@ SENTENCES: Final[Mapping[Code, str]] = {
     Code.SLIP_BEYOND_MODEL: "slip beyond the tyre model",
     Code.NO_STEADY_TURN_EXISTS: "no steady turn exists at these stiffnesses",
     Code.NOT_CONVERGED: "fit did not converge",
-    Code.BEYOND_TYRES: "fit is beyond what tyres can be",
-    Code.TWO_PLACES: "two sets of tyres explain this driving about as well: steer in other ways, too",
+    Code.BEYOND_TYRES: "the fit gives impossible tyres",
+    Code.TWO_PLACES: (
+        "two sets of tyre parameters explain this driving about equally well: also steer in other ways"
+    ),
     Code.OUTPUTS_NOT_MEASURED: "yaw rates or headings of both bodies are not measured",
     Code.NO_STEADY_TURN: "no steady turn in this run",
     Code.END_OF_SEARCH: "a parameter reached the limit of its search range",
-    Code.FIT_LATE: "a fit was ready {n[0]:.1f} s late, since this computer is busy; it is used from here",
+    Code.FIT_LATE: "a fit was {n[0]:.1f} s late because this computer is busy; it is used from now on",
     Code.FIT_DROPPED: "a fit was not ready in time and was dropped",
-    Code.FIT_GIVEN_UP: "a fit was not ready {n[0]:.0f} s after it was due and is given up",
+    Code.FIT_GIVEN_UP: "a fit was not ready {n[0]:.0f} s after it was due and is abandoned",
     Code.NOTHING_LEARNED: "nothing has been learned yet",
     Code.NOTHING_FITTED: "no driving with steering has been fitted yet",
-    Code.NO_ROWS_YET: "no two minutes of straight rows have been fitted yet",
+    Code.NO_ROWS_YET: "two minutes of straight rows have not been fitted yet",
     Code.NO_STEADY_TURN_YET: "no steady turn yet",
     Code.NO_WINDOW_YET: "no window has been fitted yet",
-    Code.WIDE: "the data leave {n[0]:share}: more steering is needed",
+    Code.WIDE: "known only to {n[0]:share}: more steering is needed",
     Code.OF_THE_MASS: (
-        "the machine file gives {of[0]} only to {n[0]:share}: weigh it; per kilogram the stiffness is known,"
-        " {n[1]:share}"
+        "the machine file gives {of[0]} only to {n[0]:share}: weigh it; the stiffness per kilogram is "
+        "known to {n[1]:share}"
     ),
     Code.NOT_LEARNED_FOR: "nothing was learned for {n[0]:.0f} s",
     Code.NO_SOUND_DATA_FOR: "no sound data for {n[0]:.0f} s",
@@ -87,7 +88,7 @@ SENTENCES: Final[Mapping[Code, str]] = {
     ),
     Code.NO_RELAXATION: "steady driving carries no relaxation-length information",
     Code.ON_UNIDENTIFIABLE: (
-        "rests on stiffnesses that two outputs do not tell apart; with a free gain its interval is too narrow"
+        "depends on stiffnesses that two outputs cannot separate; with a free gain its interval is too narrow"
     ),
     Code.NOT_CONFIRMED: (
         "driving has not yet shown that the machine file is right{keys}: steer to and fro at working speed"
@@ -99,28 +100,30 @@ SENTENCES: Final[Mapping[Code, str]] = {
         "and fro at working speed"
     ),
     Code.NOT_EXCLUDED: (
-        "driving has not excluded an error of {of[0]} in the machine file, which leaves {n[0]:share}: steer "
-        "to and fro by 3° or more at working speed, for {n[1]:.0f} s"
+        "driving has not excluded an error of {of[0]} in the machine file, so this is known only to "
+        "{n[0]:share}: steer to and fro by 3° or more at working speed, for {n[1]:.0f} s"
     ),
-    Code.WIDENED: "{n[0]:share} of this is room for an error of {of[0]} in the machine file",
+    Code.WIDENED: "{n[0]:share} of this allows for an error of {of[0]} in the machine file",
     Code.OTHER_SOIL: "the soil here may differ from where this was learned: {n[0]:share}",
-    Code.NOT_KNOWN_HERE: "the soil here may differ from where it was learned, which leaves {n[0]:share}",
+    Code.NOT_KNOWN_HERE: (
+        "the soil here may differ from where this was learned, so it is known only to {n[0]:share}"
+    ),
     Code.FIRST_WITH_NUMBERS: "{of[0]}: the first of {others} that gives estimates",
     Code.FIRST_THOUGH_OLD: "{of[0]}: the first of {others} that gives estimates, though old",
     Code.SOIL_CHANGED_SINCE: (
-        "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last piece that was fitted"
+        "{of[0]}: the soil changed {n[0]:.0f} s ago, after the last window that was fitted"
     ),
-    Code.WINDOW_OLD: "{of[0]}: the last piece that was fitted is {n[0]:.0f} s old",
-    Code.NO_WINDOW: "{of[0]}: the piece that is fitted next has not been driven yet",
+    Code.WINDOW_OLD: "{of[0]}: the last window that was fitted is {n[0]:.0f} s old",
+    Code.NO_WINDOW: "{of[0]}: the next window has not been driven yet",
     Code.CLAIMS_LESS: "{of[0]}: the methods disagree, and it claims less than {others_and}",
-    Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is for where the rig is",
+    Code.IN_PATCHES: "{of[0]}: soil differs from place to place here, and this is for the present place",
     Code.KNOWS_MORE: "{of[0]}: it uses more of the drive than {others_and}, with which it disagrees",
     Code.ROWS_KNOW_MORE: "{of[0]}: it knows the numbers to {n[0]:share} on average, {of[1]} to {n[1]:share}",
     Code.ROWS_ALONE: "{of[0]}: no method that learns in turns has numbers",
     Code.NO_METHOD: "no method gives an estimate",
     Code.DISAGREE: (
-        "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} over {n[1]:.0f} parameters, of which "
-        "chance allows {n[2]:.0f}"
+        "{of[0]} and {of[1]} disagree: squared distance {n[0]:.0f} for {n[1]:.0f} parameters; chance "
+        "allows {n[2]:.0f}"
     ),
     Code.SAVED_BY_ANOTHER_VERSION: "it is from another version",
     Code.SAVED_NOT_FINITE: "it holds a value that is not a number",

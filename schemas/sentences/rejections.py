@@ -14,7 +14,7 @@ REJECTIONS: Final[Mapping[str, str]] = {
     Rejection.UNIDENTIFIED: (
         "a manufacturer's own message (65535) from an address whose manufacturer is not known"
     ),
-    Rejection.UNKNOWN_SOURCE: "from an address that is no receiver or sensor of the machine file",
+    Rejection.UNKNOWN_SOURCE: "from an address of no receiver or sensor in the machine file",
     Rejection.QUARANTINE: "from a receiver's address that somebody else has claimed",
     Rejection.TWIN_NAME: "from one of two devices that claim the same NAME",
     Rejection.ADDRESS_CONFLICT: "an address claim for an address that another NAME holds",
@@ -35,16 +35,16 @@ REJECTIONS: Final[Mapping[str, str]] = {
     Rejection.STANDS_STILL: "a reading that has stayed the same to the bit while the rig moves",
     Rejection.LATE: "a frame that came late: this computer, or the one that sends, was busy",
     Rejection.CLOCK_STEP: "the clock of the log stepped back",
-    Rejection.OTHER_TIME: "a frame whose stamp is away from the log's time",
-    Rejection.NOT_A_NUMBER: "a measurement of which a value is no number",
+    Rejection.OTHER_TIME: "a frame whose stamp is far from the log's time",
+    Rejection.NOT_A_NUMBER: "a measurement with a value that is not a number",
     Rejection.REMOTE: "a remote frame: it asks for data and has none",
     Rejection.CAN_FD: "a frame of CAN FD, which is not read here",
     Rejection.GARBLED: "a line of an adapter that cannot be read",
-    Rejection.STAMP: "a stamp of an adapter that cannot be: the computer's is used",
+    Rejection.STAMP: "an impossible stamp of an adapter: the computer's is used",
     Rejection.MARK: "a mark that was refused",
     Rejection.ACCEPT: "an order to accept that was refused",
-    Rejection.IMPLEMENT: "an order of another implement that was refused",
-    Rejection.LOAD: "what an implement carries, as somebody said: it was refused",
+    Rejection.IMPLEMENT: "an order to change the implement that was refused",
+    Rejection.LOAD: "an entry of the implement's load that was refused",
 }
 LANGUAGES: Final[Mapping[str, Mapping[str, str]]] = {ENGLISH: REJECTIONS}
 

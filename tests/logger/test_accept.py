@@ -128,7 +128,7 @@ def test_a_load_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     assert commands(daemon, *asked) == [0, 0, 2, 0, 2]
     output = capsys.readouterr()
     assert "Nobody has said what it carries. It is full with 6.0 t." in output.out
-    assert "the implement carries 5.50 ± 0.54 t (95 %); told by: operator" in output.out
+    assert "the implement carries 5.50 ± 0.54 t (95 %); source: operator" in output.out
     assert "9.0 t is more than it carries when it is full" in output.err
     assert "the load when its run has begun" in output.err
     assert fold.state.machine.implement.mass.value == pytest.approx(own + 5500.0)

@@ -312,8 +312,8 @@ def test_a_late_fit_is_used_says_by_how_much_and_the_next_window_follows_it(
 ) -> None:
     """What it learned is the same, and so is what it is worth; only the instant is another."""
     events = [Event.FromString(row.data).text for row in results_of([late], frozenset({"/event"}))["/event"]]
-    (messages,) = [text for text in events if text.startswith("a fit was ready 0.3 s late")]
-    assert "it is used from here" in messages
+    (messages,) = [text for text in events if text.startswith("a fit was 0.3 s late")]
+    assert "it is used from now on" in messages
     rows = results_of([late], frozenset({"/soil_tire/pem"}))["/soil_tire/pem"]
     after = SoilTireEstimate.FromString(rows[-1].data)
     excitation = {one.name: one.value for one in after.excitation}
@@ -342,7 +342,7 @@ def test_while_a_fit_is_late_no_other_is_asked_for_and_one_that_never_comes_is_g
     assert (decided_fit.adopted, decided_fit.awaited, decided_fit.late_ns) == (False, False, GIVE_UP_NS + 1)  # type: ignore[union-attr]
     told_of = [p.value for p, _ in fold.take(replace(rows[-1], t_ns=rows[-1].t_ns + 1))]
     assert any(
-        "not ready 300 s after it was due and is given up" in event_sentence(v)
+        "not ready 300 s after it was due and is abandoned" in event_sentence(v)
         for v in told_of
         if isinstance(v, flow.Event)
     )

@@ -159,9 +159,7 @@ def test_an_order_ends_the_run_and_the_next_is_of_the_other_rig(
         summary = run_daemon(rigs["parker"], rigs=rigs, log_folder=logs, simulated="a test", stop=over)
     said = capsys.readouterr()
     assert statuses == [0, 2, 2, 0]
-    assert (
-        "parker  (hitched on)\nkrampe\n" in said.out and "krampe is hitched on: a new run begins" in said.out
-    )
+    assert "parker  (hitched on)\nkrampe\n" in said.out and "krampe is hitched: a new run begins" in said.out
     assert "no implement cart; there are parker, krampe" in said.err and "hitched on already" in said.err
     assert kept.read_text() == "krampe" and len(summary.log_files) == 2
     first, second = summary.log_files
@@ -254,7 +252,7 @@ def test_an_implement_that_nobody_described(
     said = [e.text for e in records_of(log, "/event", pb.Event) if e.notice.code == "implement_strange"]
     assert len(said) == told
     if told:
-        assert 'names = ["A00A8A0000A00123"]' in said[0] and "estimates are as of parker" in said[0]
+        assert 'names = ["A00A8A0000A00123"]' in said[0] and "estimates are for parker" in said[0]
         assert "fertilizer" in said[0] or "fertiliser" in said[0]
 
 

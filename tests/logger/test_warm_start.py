@@ -334,7 +334,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     second_rig = rig(tmp_path, VIRTUAL)
     second, result = a_run(tmp_path, second_rig, keep=True)
     (said,) = result.of_warm_start()
-    assert said.startswith("steady_state, tracker, pem, rows, place go on from ")
+    assert said.startswith("steady_state, tracker, pem, rows, place continue from ")
     assert second.parts.estimation.fold.state.estimators["pem"].fits == 3
     for frame in now(list(simulate(MACHINE, 3, 4.0))):
         second.take(frame)

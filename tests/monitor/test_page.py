@@ -358,7 +358,7 @@ def test_numbers_that_are_withdrawn_are_said_with_the_reason(
     browser: Browser, stage: tuple[Stage, Monitor], request: pytest.FixtureRequest
 ) -> None:
     page, _ = opened(browser, stage[1])
-    why = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
+    why = "the wheel angle has the opposite sign of the yaw rate: wheel_angle.sign?"
     expect(page.locator("#ground")).to_contain_text("as usual", timeout=SOON_MS)
     expect(page.locator("#withdrawn")).to_be_hidden()
     stage[0].order(invalid=why, flag="contradiction:wheel_angle.sign", event="contradiction", text=why)

@@ -126,7 +126,7 @@ def test_what_is_shown_is_95_percent_and_what_came_keeps_its_sd() -> None:
 def test_soft_soil_and_a_contradiction_in_words() -> None:
     assert [one["word"] for one in page_estimate(received(0.6), RIG)["ground"]] == ["soft"] * 3
     assert [one["word"] for one in page_estimate(received(), RIG)["ground"]] == ["as usual"] * 3
-    why = "the wheels' angle answers the yaw rate with the opposite sign: wheel_angle.sign?"
+    why = "the wheel angle has the opposite sign of the yaw rate: wheel_angle.sign?"
     page = page_estimate(received(invalid=why), RIG)
     assert page["withdrawn"] == [f"Numbers withdrawn: {why}"]
     assert {one["word"] for one in page["ground"]} == {"withdrawn"}

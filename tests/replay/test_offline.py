@@ -164,7 +164,7 @@ def test_a_part_whose_state_is_refused_says_why_and_gives_poses_all_the_same(
     collected = [event_sentence(event) for event in summary.events if event.kind == "stored_state"]
     assert len(collected) == len(output) == (reason != "")
     for text in (*collected, *output):
-        assert reason in text and text.endswith("; going on without it")
+        assert reason in text and text.endswith("; continuing without it")
     retained = [
         pb.Event.FromString(row.data).kind
         for row in results_of([out], frozenset({"/event"})).get("/event", [])

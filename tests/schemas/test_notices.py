@@ -187,10 +187,10 @@ OPPOSITE = Reason(Code.WHEEL_OPPOSITE, ("wheel_angle.sign",))
     ("told", "text"),
     [
         (reasoned(OPPOSITE, NoticeCode.CONTRADICTED),
-         f"{sentence(OPPOSITE)} Until this is over no number is given"),  # it ends with a "?"
-        (reasoned(LEVER, NoticeCode.CONTRADICTED), f"{MOVED}. Until this is over no number is given"),
+         f"{sentence(OPPOSITE)} No number is given until this is over"),  # it ends with a "?"
+        (reasoned(LEVER, NoticeCode.CONTRADICTED), f"{MOVED}. No number is given until this is over"),
         (reasoned(FARTHER, NoticeCode.CONTRADICTED),
-         f"{sentence(FARTHER)} {OTHER} Until this is over no number is given"),
+         f"{sentence(FARTHER)} {OTHER} No number is given until this is over"),
         (reasoned(OPPOSITE, NoticeCode.FITS_AGAIN, key="wheel_angle.sign"),
          "wheel_angle.sign: over; the data fit the machine file again"),
         (reasoned(LEVER, NoticeCode.MOVED, ago_min=1.4), f"{MOVED}; 1 min ago. {ASKED}"),

@@ -8,7 +8,7 @@ from tilth.analysis.report.document import plain
 from tilth.schemas.flow import PARAMETERS
 
 VALUES = (220e3, 540e3, 170e3, 1.1, 1.5, 0.9)
-WHY = "the data leave -60 … +150 % (95 %): more steering is needed"
+WHY = "known only to -60 … +150 % (95 %): more steering is needed"
 
 
 def parameters(share: float, factor: float = 1.0) -> Any:

@@ -170,8 +170,16 @@ def test_no_number_before_a_gross_error_would_have_shown() -> None:
 
 WRONG = {
     "an antenna 0.8 m aside": ("receiver.0.position.1", 0.8, "position"),
-    "two antennas of a pair exchanged": ("receiver.0.name <> receiver.1.name", None, "another's place"),
-    "one antenna of each body exchanged": ("receiver.1.name <> receiver.2.name", None, "another's place"),
+    "two antennas of a pair exchanged": (
+        "receiver.0.name <> receiver.1.name",
+        None,
+        "another receiver's place",
+    ),
+    "one antenna of each body exchanged": (
+        "receiver.1.name <> receiver.2.name",
+        None,
+        "another receiver's place",
+    ),
     "the wheels' sign": ("wheel_angle.sign x -1", None, "wheel_angle.sign"),
     "twice the wheels' scale": ("wheel_angle.scale x 2", None, "wheel_angle.scale"),
     "half the wheelbase in front": ("tractor.a x 0.5", None, "tractor.a"),
@@ -286,8 +294,8 @@ def test_a_receiver_that_is_left_out_takes_along_what_was_found_of_its_place(
     ("name", "off", "words"),
     [
         ("I_t", math.log(0.2), "tractor.yaw_inertia 0.19 to 0.21 times what the file says"),
-        ("wheel_gain", math.log(2.0), "reading of the wheels' angle 1.92 to 2.08 times"),
-        ("wheel_zero", math.radians(30.0), "the wheels' zero off by 30.0 ±"),
+        ("wheel_gain", math.log(2.0), "reading of the wheel angle 1.92 to 2.08 times"),
+        ("wheel_zero", math.radians(30.0), "the zero of the wheel angle off by 30.0 ±"),
         ("latency", 0.9, "a latency of 0.900 ± 0.039 s (95 %) beyond"),
         ("e", -3.0, "the implement's axle off by -3.000 ± 0.039 m"),
     ],
@@ -336,7 +344,7 @@ def test_what_distances_say_where_the_rig_stands_is_believed_within_a_second(kin
         assert not told
         found = consistency.observe(checks, state.aligner, state.diagnosis.checks, pose, [], evidence)
         told += [notice_sentence(one) for _, one in found.events]
-    assert len(told) == 1 and "+0.50 m where the rig stands still" in told[0]
+    assert len(told) == 1 and "+0.50 m while the rig stands still" in told[0]
     (one,) = consistency.contradictions(checks)
     assert one.code is Code.OFF_WHERE_PARKED and one.amounts == (0.5,) and one.since_ns == pose.t_ns
 

@@ -48,4 +48,4 @@ def test_a_pair_of_another_length_is_found_where_the_rig_stands(
         state.long_term.parked[body].add(off_m)
     told = findings.parked_errors(machine, state)
     assert [one.key for one in told] == ([PAIRS[body]] if found else [])
-    assert all(f"{off_m:+.2f} m where the rig stands still" in sentence(one.reason) for one in told)
+    assert all(f"{off_m:+.2f} m while the rig stands still" in sentence(one.reason) for one in told)

@@ -429,7 +429,7 @@ def test_a_soil_that_changed_is_an_event_once() -> None:
     for pose in after:
         steady_state.take(state, MACHINE, pose)
     ((kind, told),) = take_events(state)
-    assert kind == "soil_change" and "learned anew" in notice_sentence(told)
+    assert kind == "soil_change" and "learned again" in notice_sentence(told)
     assert take_events(state) == []
 
 

@@ -272,7 +272,7 @@ def test_another_soil_is_noticed_within_seconds_and_learned() -> None:
     after_s = (events[0].t_ns - given[0][0].t_ns) * 1e-9 - TURNS_AGAIN_S
     assert 0.0 < after_s < 3.0
     assert events[0].latitude_deg is not None
-    assert "given up" in event_sentence(events[0])
+    assert "discarded" in event_sentence(events[0])
     estimate = last(state)
     now = truth + np.log([0.7, 0.7, 0.7, 1.0, 1.0, 1.0])
     off = np.log([p.value or 1.0 for p in estimate.parameters]) - now

@@ -24,7 +24,7 @@ def test_each_loss_is_told_with_its_end() -> None:
 
 
 def test_what_is_late_all_day_is_told_now_and_then() -> None:
-    begun = "tractor_rear is late; its position is carried on"
+    begun = "tractor_rear is late; its position is extrapolated"
     over = "tractor_rear: over"
     tenth, hundredth = (f"{begun} (for the {count}th time)" for count in (10, 100))
     assert told(LATE, 500) == [begun, over, tenth, over, hundredth, over]

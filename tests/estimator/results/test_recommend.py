@@ -196,7 +196,7 @@ def test_a_disagreement_begins_late_and_ends_later() -> None:
         reason = disagreement(by_method(pem, steady), before)
         assert (reason is not None) == found
         text = sentence(reason)
-        assert not found or (said("pem and steady_state") in text and "over 3 parameters" in text)
+        assert not found or (said("pem and steady_state") in text and "for 3 parameters" in text)
 
 
 @pytest.mark.parametrize("sd", [0.02, 0.2, 0.3])
