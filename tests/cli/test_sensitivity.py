@@ -295,7 +295,7 @@ def test_rigs_by_the_covariance_of_a_log(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = write_run(tmp_path / "a.mcap")
-    words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 200, "--workers", 1, "--json")
+    words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 100, "--workers", 1, "--json")
     status, out, _ = answer(MACHINE, *words, "--from", log, "--outputs", "off_tracking")
     said = json.loads(out, parse_constant=pytest.fail)
     (entry,) = said["speeds"]
