@@ -163,7 +163,7 @@ def test_an_order_ends_the_run_and_the_next_is_of_the_other_rig(
     assert "no implement cart; there are parker, krampe" in said.err and "hitched on already" in said.err
     assert kept.read_text() == "krampe" and len(summary.log_files) == 2
     first, second = summary.log_files
-    assert "krampe is hitched on" in " ".join(event.text for event in records_of(first, "/event", pb.Event))
+    assert "krampe is hitched" in " ".join(event.text for event in records_of(first, "/event", pb.Event))
     assert {status.implement for status in records_of(second, "/status", pb.Status)} == {"krampe"}
     for log, name in ((first, "parker"), (second, "krampe")):
         comparison = Comparison()
