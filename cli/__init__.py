@@ -30,7 +30,7 @@ from tilth.schemas.readable import reason_of
 # `run(args) -> int`, the exit status. Only the module asked for is imported: `tilth check` needs no scipy.
 COMMANDS: tuple[tuple[str, str], ...] = (
     ("run", "log the buses of a machine, estimate, publish"),
-    ("status", "say how the daemon that runs is"),
+    ("status", "show the state of the running daemon"),
     ("mark", "note an event in the log of the daemon that runs"),
     ("accept", "accept the present position of what the running daemon has found moved"),
     ("implement", "tell the daemon which implement is hitched, or what it carries"),

@@ -1,4 +1,4 @@
-"""`tilth status`: how the daemon that runs is, also for programs that watch it."""
+"""`tilth status`: the state of the running daemon, also for programs that watch it."""
 
 import argparse
 
@@ -10,15 +10,15 @@ from tilth.schemas.states import RunHealth
 def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     parser = subparsers.add_parser(
         "status",
-        help="say how the daemon that runs is",
-        description="Say how the daemon that runs is: good, degraded or bad, and its problems. A container's "
-        "health check: the exit status is 0 unless nothing is recorded (1) or nobody answers (2).",
+        help="show the state of the running daemon",
+        description="Show the state of the running daemon: good, degraded or bad, with its problems. Serves as a "
+        "container's health check: the exit status is 1 if nothing is recorded, 2 if no daemon answers, else 0.",
     )
     add_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """1 where nothing is recorded; raises WrongUse where no daemon answers."""
+    """1 if nothing is recorded. Raises WrongUse if no daemon answers."""
     answer = ask(args, "status")
     status = pb.Status.FromString(answer.payload)
     print(f"{answer.by}: {status.health}{', no run at present' if status.resting else ''}")
