@@ -5,7 +5,7 @@ cp -a "$PACKAGES/etc/." /etc/
 cp -a "$PACKAGES/var/." /var/
 mount -t overlay -o "lowerdir=$PACKAGES/usr:/usr" overlay /usr
 
-# The computer: the profile of `tilth-setup phone`, brought up as tilth-hotspot.service does; the page.
+# The computer: the profile of `tilth-setup phone`, brought up by the words of tilth-hotspot.service; the page.
 python -P -m tilth.deploy.phone $OUT/label.toml --hotspot
 told() { sed -n "s/^$1 = \"\(.*\)\".*/\1/p" $OUT/label.toml; }
 tilth setup /run/machine.toml --label $OUT/label.toml --host 0.0.0.0 >$OUT/page.txt 2>&1 &
@@ -19,7 +19,7 @@ iw phy phy1 set netns $phone
 wpa_supplicant -B -u # as its unit does
 NetworkManager
 ready 120 'nmcli --terse --fields DEVICE,STATE device | grep "wlan0:disconnected"'
-nmcli connection up tilth-hotspot
+eval "$(sed -n 's/^Exec[A-Za-z]*=//p' deploy/system/tilth-hotspot.service)"
 ip -brief address show dev wlan0 | grep -w 10.42.0.1/24
 
 # The phone, in a network of its own: it hears the other radio only.
