@@ -11,8 +11,8 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     parser = subparsers.add_parser(
         "status",
         help="show the state of the running daemon",
-        description="Show the state of the running daemon: good, degraded or bad, with its problems. Serves as a "
-        "container's health check: the exit status is 1 if nothing is recorded, 2 if no daemon answers, else 0.",
+        description="Show the state of the running daemon: good, degraded or bad, with its problems. "
+        "For a container's health check, the exit status is 1 if nothing is recorded, 2 if no daemon answers.",
     )
     add_options(parser)
 
