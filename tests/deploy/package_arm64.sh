@@ -1,5 +1,6 @@
 # Run as root of an emulated Debian by test_emulated.py. /out has the package, log.mcap, and the machine file of it.
-export PATH=/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin DEBIAN_FRONTEND=noninteractive
+export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin DEBIAN_FRONTEND=noninteractive
+export PIP_COMPILE=0 # byte code of everything takes minutes here
 apt-get install --yes /out/tilth_*_arm64.deb
 dpkg --audit
 tilth-setup status

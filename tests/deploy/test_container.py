@@ -32,7 +32,7 @@ CONFINED = '[containers]\ncgroups = "disabled"\ndefault_ulimits = ["nofile=1000:
     shutil.which("podman") is None, reason="podman-compose asks podman: apt-get install podman"
 )
 def test_podman_reads_the_compose_file_and_every_service_is_confined() -> None:
-    words = [str(SCRIPTS / "podman-compose"), "--file", str(CONTAINER / "compose.yaml"), "config"]
+    words: list[str | Path] = [SCRIPTS / "podman-compose", "--file", CONTAINER / "compose.yaml", "config"]
     said = subprocess.run(words, check=True, capture_output=True, text=True).stdout
     services = YAML.safe_load(said)["services"]
     assert services.keys() == {"recorder", "router", "page"}

@@ -91,7 +91,7 @@ def make_strangers(folder: Path, other: Path) -> None:
     keys.admit(folder, [("expired", "reader")], NOW - timedelta(days=40), 10)
 
 
-@pytest.fixture(scope="module", params=["recorder", "router"])
+@pytest.fixture(scope="module", params=["recorder", pytest.param("router", marks=pytest.mark.long)])
 def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Net]:
     """Where the recorder takes keys itself, or a router does in front of it."""
     port = free_port(socket.SOCK_STREAM)
