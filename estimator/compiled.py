@@ -125,7 +125,7 @@ class Kernel(Generic[P, R]):
                 return numba.njit(**options)(copy)
 
             collecting = gc.isenabled()
-            gc.disable()  # the compiler's objects are many and stay: to look through them takes a sixth of it
+            gc.disable()  # the compiler's objects are many and stay: looking through them takes a tenth of it
             try:
                 linked: Any = _linked(self.function, {}, finish)
                 linked.compile(tuple(map(numba.typeof, args)))

@@ -20,7 +20,7 @@ from tilth.schemas.notices import NoticeCode, Report, Value, notice
 
 BATCH = 32  # frames taken from one bus before the others have their turn
 # After frames that were stamped on arrival others are let come: a wake-up costs as much as three of them.
-REST_S = 0.004
+REST_S = 0.008
 POLL_S = 0.002  # for interfaces without a descriptor
 WATCH_NS = 250_000_000
 ASK_NS = 1_000_000_000

@@ -268,8 +268,8 @@ def test_the_name_follows_the_versions_of_other_packages(monkeypatch: pytest.Mon
     def name() -> str:
         kernel: Kernel[[float], float] = Kernel(function)
         kernel(1.0)
-        run: Any = kernel._run
-        return str(run.py_func.__qualname__)
+        assert kernel._run is not None
+        return kernel._run.__qualname__
 
     before = name()
     assert name() == before
