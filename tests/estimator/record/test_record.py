@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment, concatenate
+from tilth.estimator.record.record import INPUTS, ROWS, TICK_NS, Record, Segment, U, concatenate
 from tilth.estimator.record.record_builder import wheel_angles
 
 
@@ -31,6 +31,23 @@ def test_stretches_put_together_are_one_record() -> None:
     with pytest.raises(ValueError, match="no segment"):
         concatenate([])
     assert Record(5).end_ns == 5
+
+
+def test_a_record_keeps_accelerations_and_loses_the_noise_of_the_speed() -> None:
+    at_poses = np.arange(101) * 0.2
+    speeds = {
+        "even": 2.0 + 0.5 * at_poses,
+        "noise": np.random.default_rng(5).normal(0.0, 0.02, len(at_poses)),
+    }
+    rates = {}
+    for name, speed in speeds.items():
+        parts = [segment(k) for k in range(100)]
+        for k, part in enumerate(parts):
+            part.record.ticks[:, U] = np.interp(np.arange(10), [0.0, 10.0], speed[k : k + 2])
+        assert concatenate(parts[:1]).ticks[:, U] == pytest.approx(parts[0].record.ticks[:, U], abs=1e-12)
+        rates[name] = np.diff(concatenate(parts).ticks[:, U]) / 0.02
+    assert rates["even"] == pytest.approx(0.5, abs=1e-9)
+    assert np.std(rates["noise"]) < 0.2 * np.std(np.diff(speeds["noise"]) / 0.2)
 
 
 @pytest.mark.parametrize("period_ms", [5, 10, 20, 100])
