@@ -122,6 +122,11 @@ def told(name: str, scenario: Scenario, found: MappedField) -> str:
         f"{100 * inside.mean():.0f} % hold, median error {100 * np.median(np.abs(off[has])):.0f} %, "
         f"sd {100 * np.median(found.sd[has]):.0f} %"
     )
+    each = [np.isfinite(found.mean[:, k]) for k in range(len(C))]
+    text += "; hold " + ", ".join(
+        f"{name} {100 * np.mean(np.abs(off[has, k]) <= WITHIN * found.sd[has, k]):.0f} % of {has.sum()}"
+        for k, (name, has) in enumerate(zip(C, each, strict=True))
+    )
     spread = np.nanmax(np.abs(found.mean - np.nanmean(found.mean, axis=0)) / found.sd)
     text += f"; largest difference from its mean {spread:.1f} sd, soil changed {len(found.changed)} times"
     if scenario.soil.changes:

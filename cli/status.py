@@ -12,7 +12,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "status",
         help="show the state of the running daemon",
         description="Show the state of the running daemon: good, degraded or bad, with its problems. "
-        "For a container's health check, the exit status is 1 if nothing is recorded, 2 if no daemon answers.",
+        "For health checks: the exit status is 1 if nothing is recorded, 2 if no daemon answers.",
     )
     add_options(parser)
 

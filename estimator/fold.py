@@ -106,10 +106,10 @@ def resume(
     Returns method -> why its saved posterior is not used, None where it is used.
     """
     refusals = warm_start.resume(state.machine, state.estimators, previous_run, elapsed_s, t_ns)
-    implement_load.resumed(state, elapsed_s)
     state.time.latest_ns = t_ns
     used = {method for method, refusal in refusals.items() if refusal is None}
     state.previous_run = {method: before for method, before in previous_run.items() if method in used}
+    implement_load.resumed(state, elapsed_s)
     diagnosis.resumed(state.diagnosis, bool(state.previous_run))
     state.previous_run_ns = t_ns - round(elapsed_s * 1e9)
     return refusals

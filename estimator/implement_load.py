@@ -167,7 +167,7 @@ def later(machine: Machine, told: Carried | None, elapsed_s: float, t_ns: int) -
 
 def resumed(state: State, elapsed_s: float) -> None:
     """What a run before has learned is there, so much later: the rig has stood in between."""
-    if state.carried is not None and elapsed_s * 1e9 >= LOAD.stop_ns:
+    if state.carried is not None and state.previous_run and elapsed_s * 1e9 >= LOAD.stop_ns:
         _be_open(state)
 
 

@@ -14,6 +14,7 @@ from tilth.estimator.methods.estimators import ROW
 from tilth.estimator.models.load import by_another_load, laden
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state import ScaleWord, State
+from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.can_id import join
 from tilth.schemas.carried import said_of_load
 from tilth.schemas.flow import Carried, Event, EventKind, Frame, LoadSource, Weight
@@ -187,6 +188,21 @@ def test_a_stop_may_have_changed_the_load(seconds: int, word: LoadSource | None,
     assert after[:2] == before[:2] and after[2] == pytest.approx(sd, abs=0.01)
     assert state.estimators["pem"].soon == (sd > 0.2)  # the first turn is to show it
     assert restore(CART, snapshot(state)).drove_ns == (11 + seconds) * S
+
+
+@pytest.mark.parametrize(
+    ("there", "elapsed_s", "opens"), [(True, 60, True), (True, 5, False), (False, 60, False)]
+)
+def test_a_run_before_was_ended_by_a_stop(there: bool, elapsed_s: int, opens: bool) -> None:
+    state = fold.initial(CART)
+    known(state, "tracker")
+    before = state.estimators["tracker"].covariance.copy()
+    state.previous_run = (
+        {"tracker": SavedPosterior(("C_ai",), np.zeros(1), np.eye(1), 0.0, {})} if there else {}
+    )
+    implement_load.resumed(state, elapsed_s)
+    wider = np.diag(state.estimators["tracker"].covariance) > np.diag(before)
+    assert wider[2] == opens and not wider[:2].any() and state.estimators["pem"].soon == opens
 
 
 def test_an_event_of_the_load_is_one() -> None:

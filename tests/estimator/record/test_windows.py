@@ -44,10 +44,12 @@ def driving(pieces: Iterable[Piece], gaps: Sequence[float] = ()) -> list[Segment
     return out
 
 
-def collected(segments: Iterable[Segment], zero: float = 0.0, least: float = LEAST) -> Collected:
+def collected(
+    segments: Iterable[Segment], zero: float = 0.0, least: float = LEAST, soon: bool = False
+) -> Collected:
     state = Collected()
     for segment in segments:
-        collect(state, segment.record.end_ns, segment, 10**9, least, zero)
+        collect(state, segment.record.end_ns, segment, 10**9, least, zero, soon)
         if state.closed is not None:
             state.records.append(state.closed)
             state.closed = None
@@ -64,6 +66,11 @@ def test_a_headland_turn_is_a_window_that_closes_when_it_is_over() -> None:
     assert spans(state) == [(58.0, 75.0)]
     assert state.refused.keys() == {Code.TOO_LITTLE_STEERING}
     assert state.reason == Code.TOO_LITTLE_STEERING and len(state.window) == WINDOWS.lead
+
+
+def test_one_that_is_awaited_closes_as_soon_as_it_has_enough() -> None:
+    state = collected(driving([(20.0, 0.0), (6.0, 18.0), (6.0, -18.0), (60.0, 0.0)]), soon=True)
+    assert spans(state)[0] == (18.0, 28.0)
 
 
 def test_steering_without_end_is_cut_into_windows_of_thirty_seconds() -> None:
