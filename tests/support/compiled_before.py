@@ -1,4 +1,4 @@
-"""Compiles kernels that several tests call besides those of a machine's estimators: `python compiled_before.py`.
+"""Compiles kernels that several tests call besides those of a machine's estimators.
 Else processes that run at once would each compile them."""
 
 from contextlib import suppress
