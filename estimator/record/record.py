@@ -43,7 +43,7 @@ TICK, OFFSET, KIND, PLACE, VALUE, SD = 0, 1, 2, 3, 4, 5
 class SpeedTuning:
     """How the noise of the forward speed is kept from its rate."""
 
-    means: int = tuned(3, "times", "that a speed becomes a mean of three poses, besides once as it comes")
+    means: int = tuned(3, "1", "how often a speed becomes a mean of three poses, besides once as it comes")
     """Of 1, 2, 4 and 8 in all, 4 is the likeliest on eleven headland turns of a folded cart, on the planar
     plant and on the spatial one."""
 

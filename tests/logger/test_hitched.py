@@ -150,12 +150,13 @@ def test_an_order_ends_the_run_and_the_next_is_of_the_other_rig(
     with can.Bus(interface="virtual", channel="tilth-hitched") as talker:
 
         def over() -> bool:
-            """At each turn of the loop a frame; 20 of the run that follows."""
+            """At each turn of the loop, from which on orders are heard, a frame; 20 of the next run."""
+            if asking.ident is None:
+                asking.start()
             talker.send(can.Message(arbitration_id=0x18FF1234, data=bytes(8)))
             sent[0] += kept.exists() and not asking.is_alive()
             return sent[0] > 20
 
-        asking.start()
         summary = run_daemon(rigs["parker"], rigs=rigs, log_folder=logs, simulated="a test", stop=over)
     said = capsys.readouterr()
     assert statuses == [0, 2, 2, 0]

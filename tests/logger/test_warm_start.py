@@ -448,7 +448,9 @@ def test_what_the_next_run_has_to_know_is_kept_at_once(
     )
 
 
-@pytest.mark.parametrize(("found", "says"), [(slipped, "the wheels"), (displaced, "tractor_rear")])
+@pytest.mark.parametrize(
+    ("found", "says"), [(slipped, "the wheel-angle sensor"), (displaced, "tractor_rear")]
+)
 def test_what_was_found_moved_stays_so_after_a_restart(
     tmp_path: Path, talker: can.BusABC, found: Callable[[], Moved], says: str
 ) -> None:
