@@ -72,13 +72,13 @@ def walk(state: State, t_ns: int, pose: Pose) -> None:
     """Time has passed, and nobody has said the load."""
     if state.carried is None:
         return
-    stood = _has_stood(state, pose)
+    stood = _has_stood(state, state.carried, pose)
     if state.carried.source is LoadSource.SCALE and (
         state.scale is not None and t_ns - state.scale.t_ns < LOAD.scale_lost_ns
     ):
         return
     if stood:
-        _after_stop(state)
+        _after_stop(state, state.carried)
     passed_ns = t_ns - state.walked_ns
     if 0 <= passed_ns < LOAD.step_ns:
         return
@@ -87,19 +87,17 @@ def walk(state: State, t_ns: int, pose: Pose) -> None:
     state.walked_ns = t_ns
 
 
-def _has_stood(state: State, pose: Pose) -> bool:
+def _has_stood(state: State, carried: Carried, pose: Pose) -> bool:
     """Whether the rig drives again after a stop in which nobody has said what it carries since."""
     if not pose.direction:
         return False
     before, state.drove_ns = state.drove_ns, pose.t_ns
-    assert state.carried is not None
-    return before > 0 and pose.t_ns - before >= LOAD.stop_ns and state.carried.t_ns <= before
+    return before > 0 and pose.t_ns - before >= LOAD.stop_ns and carried.t_ns <= before
 
 
-def _after_stop(state: State) -> None:
+def _after_stop(state: State, carried: Carried) -> None:
     """The load may be any other. A fit of before the stop that is adopted later would not know of that."""
-    assert state.carried is not None
-    state.carried = _before_a_stop(state.empty, state.carried)
+    state.carried = _before_a_stop(state.empty, carried)
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
         if row.fitting is not None and method_state.job is not None:

@@ -7,7 +7,7 @@ velocities are corrected for pitch, not for roll, which is a state of the filter
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from tilth.estimator.tuning import tuned
 from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
+Speed = TypeVar("Speed", float, Array)
 
 TICK_NS = 20_000_000
 INPUTS = ("wheel_angle", "u", "psi_t", "psi_i", "r_t", "r_i", "roll_t", "roll_i")
@@ -97,6 +98,11 @@ def concatenate(segments: Sequence[Segment]) -> Record:
     return Record(segments[0].record.t_ns, inputs, np.concatenate(rows))
 
 
+def mean_of_three(before: Speed, at: Speed, after: Speed) -> Speed:
+    """Of speeds at three poses, evenly apart: a quarter, a half, a quarter."""
+    return 0.25 * before + 0.5 * at + 0.25 * after
+
+
 def _without_noise(speed: Array, poses: NDArray[np.int64]) -> Array:
     """Forward speed at each tick, m/s, shape (n,), by the poses on both sides: more of them than
     record_builder can wait for. speed: linear between poses. poses: their ticks, 0 to n, evenly apart."""
@@ -104,5 +110,5 @@ def _without_noise(speed: Array, poses: NDArray[np.int64]) -> Array:
         return speed
     at_poses = np.append(speed[poses[:-1]], 2.0 * speed[-1] - speed[-2])
     for _ in range(SPEED.means):
-        at_poses[1:-1] = 0.25 * at_poses[:-2] + 0.5 * at_poses[1:-1] + 0.25 * at_poses[2:]
+        at_poses[1:-1] = mean_of_three(at_poses[:-2], at_poses[1:-1], at_poses[2:])
     return np.asarray(np.interp(np.arange(len(speed)), poses, at_poses), np.float64)
