@@ -19,6 +19,7 @@ not by a kernel around its loop. A function with many callers, or a short one, c
 type of an argument is compiled for, and to numba the constant 0 is one of its own.
 """
 
+import functools
 import gc
 import importlib.util
 import warnings
@@ -120,8 +121,9 @@ class Kernel(Generic[P, R]):
                 read = kernel_digest.digest(written, known)
                 told = repr((read, within or given, for_what, OPTIONS))
                 copy.__qualname__ = f"{written.__qualname__}-{sha256(told.encode()).hexdigest()[:16]}"
-                own = {"cache": keep, "no_cpython_wrapper": within}
-                options: dict[str, Any] = OPTIONS | own | written.__dict__.get(OPTION, {})
+                told_of = written.__dict__.get(OPTION, {})
+                own = {"cache": keep and told_of != INLINE, "no_cpython_wrapper": within}
+                options: dict[str, Any] = OPTIONS | own | told_of
                 return numba.njit(**options)(copy)
 
             collecting = gc.isenabled()
@@ -176,9 +178,5 @@ def _linked(function: FunctionType, linked: dict[FunctionType, Any], finish: Fin
 def _copied(function: FunctionType, scope: dict[str, Any]) -> FunctionType:
     """The function with other globals."""
     copy = FunctionType(function.__code__, scope, function.__name__, function.__defaults__)
-    copy.__kwdefaults__ = function.__kwdefaults__
-    copy.__annotations__ = function.__annotations__
-    copy.__module__ = function.__module__
-    copy.__qualname__ = function.__qualname__
-    copy.__dict__.update(function.__dict__)
+    functools.update_wrapper(copy, function)
     return copy

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 from numba.core import config
-from numba.core.caching import InTreeCacheLocator
+from numba.core.caching import FunctionCache, InTreeCacheLocator
 
 BASELINES: Final = {
     "x86_64": ("x86-64-v3", ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")),
@@ -30,7 +30,8 @@ _asked: Final[set[str]] = set()  # names of functions, with their digests, that 
 
 
 class InPackage(InTreeCacheLocator):
-    """numba's locator of kernels that are kept in the package: in a checkout, and while a wheel is built."""
+    """numba's locator of kernels in the package: of those that it holds, even if it cannot be written, and of
+    others where numba was told no folder for them, as in a checkout and while a wheel is built."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)  # type: ignore[no-untyped-call]
@@ -44,30 +45,33 @@ class InPackage(InTreeCacheLocator):
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
-        if not PACKAGED.is_dir():
-            return None
-        return super().from_function(py_func, py_file)  # type: ignore[no-untyped-call]
-
-
-class Packaged(InPackage):
-    """Of those that the package holds already. It need not be writable."""
-
-    @classmethod
-    def from_function(cls, py_func: Any, py_file: str) -> Any:
         _asked.add(py_func.__qualname__)
-        held = any(py_func.__qualname__ in name for name in _names())
-        return cls(py_func, py_file) if held else None
+        if any(py_func.__qualname__ in name for name in _names()):
+            return cls(py_func, py_file)
+        elsewhere = config.CACHE_DIR or not PACKAGED.is_dir()  # type: ignore[attr-defined]
+        return None if elsewhere else super().from_function(py_func, py_file)  # type: ignore[no-untyped-call]
 
 
 def choose() -> str:
     """Have numba look here and compile for the baseline, unless it was told otherwise. Returns the target."""
     settings: Any = config  # numba sets its attributes itself
     if not settings.CACHE_LOCATOR_CLASSES:
-        places = f"{__name__}.Packaged", "UserProvidedCacheLocator", f"{__name__}.InPackage"
-        settings.CACHE_LOCATOR_CLASSES = ",".join((*places, "UserWideCacheLocator"))
+        ours = f"{__name__}.{InPackage.__name__}"
+        settings.CACHE_LOCATOR_CLASSES = f"{ours},UserProvidedCacheLocator,UserWideCacheLocator"
     if settings.CPU_NAME is None and not lacking():
         settings.CPU_NAME, settings.CPU_FEATURES = BASELINES[platform.machine()][0], ""
     return target()
+
+
+def folder() -> str:
+    """Where kernels are, or would be kept; "" where they cannot be."""
+    choose()
+    if any(f"-{target()}." in name for name in _names()):
+        return str(PACKAGED)
+    try:
+        return str(FunctionCache(folder).cache_path)
+    except RuntimeError:
+        return ""
 
 
 def lacking() -> str:

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
 from typing import Any, Final, NamedTuple
@@ -68,10 +68,6 @@ class KernelsDone(NamedTuple):
 Progress = Callable[[KernelsDone], None]
 
 
-class NoCacheFolder(Exception):
-    """There is no place for compiled kernels; a sentence that says what to do."""
-
-
 class CompilingStopped(BaseException):
     """Raised by `progress` to stop. A BaseException: an Exception would make the kernel run interpreted."""
 
@@ -105,7 +101,7 @@ def prepare(machine: Machine, progress: Progress) -> None:
     progress: gets a share of 0.0 when the first kernel has to be compiled, more after each function; may
     raise CompilingStopped.
     """
-    if not _compiles():
+    if not compiles():
         return
     from numba.core import event
 
@@ -146,31 +142,25 @@ def _work(functions: frozenset[FunctionType]) -> float:
     return sum(SECONDS.get(function.__name__, OTHERS_S) for function in functions)
 
 
-def _compiles() -> bool:
+def compiles() -> bool:
     """False where kernels are interpreted."""
-    try:
+    with contextlib.suppress(ImportError, OSError):
         from numba.core import config
-    except (ImportError, OSError):
-        return False
-    return not getattr(config, "DISABLE_JIT", 0)  # set at run time
+
+        return not getattr(config, "DISABLE_JIT", 0)  # set at run time
+    return False
 
 
-def cache_folder(machine: Machine) -> str:
-    """The folder where compiled kernels are kept; "" where nothing is compiled. Raises NoCacheFolder."""
-    if not _compiles():
+def why_not_kept() -> str:
+    """Why compiled kernels can neither be taken from where they are kept nor kept there, in a sentence that
+    says what to do; "" where they can."""
+    if not compiles():
         return ""
-    from numba.core.caching import FunctionCache
-
     from tilth.estimator import kernel_store
 
-    if refused := untrusted():  # before anything in it is looked at
-        raise NoCacheFolder(refused)
-    kernel_store.choose()
-    kernels = kernels_of(machine)
-    try:
-        return str(FunctionCache(kernels[0].function).cache_path) if kernels else ""
-    except RuntimeError:
-        raise NoCacheFolder(NO_CACHE_FOLDER) from None
+    return untrusted() or (
+        "" if kernel_store.folder() else NO_CACHE_FOLDER
+    )  # nothing there was looked at yet
 
 
 def untrusted() -> str:
@@ -239,15 +229,11 @@ class Preparing:
 
     def _work(self) -> None:
         try:
-            not_kept = ""
-            try:
-                cache_folder(self._machine)
-            except NoCacheFolder as why:
-                not_kept = str(why)
+            if not_kept := why_not_kept():
                 self._lend()
             if not load(self._machine):
                 self._compile(not_kept)
-            kernels = kernels_of(self._machine) if _compiles() else []
+            kernels = kernels_of(self._machine) if compiles() else []
             refused = [(k.function.__name__, k.how) for k in kernels if k.how.startswith("interpreted")]
             why_not = "; ".join(f"{name} is {how}" for name, how in refused)
         except CompilingStopped:
@@ -255,11 +241,11 @@ class Preparing:
         except Exception as error:  # whatever it is, the fold has a guard of its own
             why_not = f"{type(error).__name__}: {error}"
         if why_not:
-            self._say(NoticeCode.KERNELS_REFUSED, why_not)
+            self._say(NoticeCode.KERNELS_REFUSED, why=why_not)
         self._doing, self.ready = "", True
 
-    def _say(self, code: NoticeCode, why: str) -> None:
-        self._report(EventKind.COMPILED, notice(code, why=why))
+    def _say(self, code: NoticeCode, **values: str) -> None:
+        self._report(EventKind.COMPILED, notice(code, **values))
 
     def _lend(self) -> None:
         """Lend a folder for this run; without one the kernels are compiled here."""
@@ -275,9 +261,8 @@ class Preparing:
         began_s = time.monotonic()
         self._doing = ANEW if not_kept else COMPILING
         if not_kept:
-            self._say(NoticeCode.CACHE_REFUSED, not_kept)
-        code = NoticeCode.COMPILING_ANEW if not_kept else NoticeCode.COMPILING
-        self._report(EventKind.COMPILED, notice(code))
+            self._say(NoticeCode.CACHE_REFUSED, why=not_kept)
+        self._say(NoticeCode.COMPILING_ANEW if not_kept else NoticeCode.COMPILING)
         try:
             words = words_of("tilth.logger.compiling", "-")
             self._job = Job(words, [packed(self._machine)], niceness=BEHIND)
@@ -285,13 +270,13 @@ class Preparing:
                 if self._closing:  # meanwhile, so that `close` has not seen it
                     raise CompilingStopped
                 if why_not := self._job.not_behind:
-                    self._say(NoticeCode.COMPILES_AT_OWN_PRIORITY, why_not)
+                    self._say(NoticeCode.COMPILES_AT_OWN_PRIORITY, why=why_not)
                 for line in self._job.lines():
                     functions, of, share = line.split()
                     self._progress(KernelsDone(int(functions), int(of), float(share)))
         except (JobEnded, ValueError) as why:
             if not self._closing:
-                self._say(NoticeCode.COMPILER_FAILED, str(why))
+                self._say(NoticeCode.COMPILER_FAILED, why=str(why))
         prepare(self._machine, self._progress)  # loads, unless the process could not
         self.seconds = time.monotonic() - began_s
 
@@ -329,37 +314,32 @@ def main(words: list[str]) -> int:
     except MachineError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    if not _compiles():
-        return 0
-    if told:
-        with _fits_beside(machine):
-            prepare(machine, lambda done: _print(" ".join(map(str, done))))
+    if not compiles():
         return 0
     from tilth.estimator import kernel_store
 
-    if why_anew := kernel_store.lacking():
+    def progress(done: KernelsDone) -> None:
+        if told or not done.share:
+            _print(" ".join(map(str, done)) if told else TEXT)
+
+    if not told and (why_anew := kernel_store.lacking()):
         _print(why_anew)
-    with _fits_beside(machine):
-        prepare(machine, lambda done: None if done.share else _print(TEXT))
-    uncompiled = rehearsals(machine)
+    # What the process that makes fits cannot compile is compiled later.
+    fits = (
+        [Job(words_of("tilth.logger.fit_worker"), [packed(machine)])]
+        if len(os.sched_getaffinity(0)) > 1
+        else []
+    )
+    prepare(machine, progress)
+    for beside in fits:
+        beside.end()
+    uncompiled = [] if told else rehearsals(machine)
     while uncompiled:
         rehearse(uncompiled)
     for path in list(Path(str(kernel_store.PACKAGED)).glob("*.nb[ic]")) if words[1:] else ():
         if not kernel_store.is_used(path.name):
             path.unlink()
     return 0
-
-
-@contextlib.contextmanager
-def _fits_beside(machine: Machine) -> Iterator[None]:
-    """The process that makes fits compiles what it needs, if there is a core for it. What it can't do is done
-    later."""
-    if len(os.sched_getaffinity(0)) < 2:
-        yield
-        return
-    with contextlib.closing(Job(words_of("tilth.logger.fit_worker"), [packed(machine)])) as beside:
-        yield
-        beside.end()
 
 
 def _print(text: str) -> None:

@@ -61,7 +61,6 @@ from tilth.estimator.filters.unknowns import (
     FIRST_ACTION,
     apply,
 )
-from tilth.estimator.models import rolling
 from tilth.estimator.models.rolling import (
     BY_INPUT,
     N_INPUTS,
@@ -72,6 +71,7 @@ from tilth.estimator.models.rolling import (
     rates_by_parameter,
     rates_by_state,
 )
+from tilth.estimator.models.rolling import N_STATES as N_MOTION
 from tilth.estimator.models.rolling_terms import INPUTS, PARAMETERS
 from tilth.estimator.tuning import tuned
 
@@ -134,7 +134,7 @@ def empty_plant(setup: RigSetup, na: int) -> Plant:
     """A Plant for `na` active unknowns, without its parameters."""
     return Plant(
         np.zeros(N_PARAMETERS), np.zeros(ACTED_ON.shape[0]), np.zeros((na, P_CONSTANTS)), setup.scale,
-        np.zeros(rolling.N_STATES), np.zeros(N_INPUTS), empty_motion(),
+        np.zeros(N_MOTION), np.zeros(N_INPUTS), empty_motion(),
     )  # fmt: skip
 
 
@@ -238,7 +238,7 @@ def parameter_slopes(x: Array, w: Array, p: Array, motion: MotionRates) -> None:
 
 def rehearse() -> None:
     """Compile the slopes by parameters alone: they take longest, and all filters need them."""
-    x, w, p = np.zeros(rolling.N_STATES), np.zeros(N_INPUTS), np.zeros(N_PARAMETERS)
+    x, w, p = np.zeros(N_MOTION), np.zeros(N_INPUTS), np.zeros(N_PARAMETERS)
     parameter_slopes(x, w, p, empty_motion())
 
 

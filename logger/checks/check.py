@@ -45,7 +45,7 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[CheckFinding]:
         *_listen(machine, clock, seconds),
         *_disk(folder, machine.log.keep_free_megabytes * 1e6),
         *_clock(clock),
-        *_kernels(machine),
+        *_kernels(),
         _zenoh(machine),
     ]
 
@@ -210,17 +210,15 @@ def _synchronised() -> bool | None:
     return None
 
 
-def _kernels(machine: Machine) -> Iterator[CheckFinding]:
-    try:
-        folder = compiling.cache_folder(machine)
-    except compiling.NoCacheFolder as why:
-        yield CheckFinding("kernels", Level.PROBLEM, str(why))
+def _kernels() -> Iterator[CheckFinding]:
+    if not compiling.compiles():
         return
-    if not folder:
+    if not_kept := compiling.why_not_kept():
+        yield CheckFinding("kernels", Level.PROBLEM, not_kept)
         return
-    yield CheckFinding("kernels", Level.OK, f"compiled once, kept in {folder}")
     from tilth.estimator import kernel_store  # numba's compiler, which takes a second
 
+    yield CheckFinding("kernels", Level.OK, f"compiled once, kept in {kernel_store.folder()}")
     if why_anew := kernel_store.lacking():
         yield CheckFinding("kernels", Level.NOTE, why_anew)
 

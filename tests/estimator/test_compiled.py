@@ -47,8 +47,6 @@ TUPLE = (1.0, (2.0, 3.0))
 PAIR = Pair(first=1.0, second=2.0)
 ARRAY = np.array([1.0, 2.0])
 DEFAULT = 1.0
-ATTRIBUTE = 1.0
-INSIDE = 1.0
 CALLED = 1.0
 FURTHER = 1.0
 """
@@ -59,8 +57,7 @@ CHANGED = (
     .replace("    first: float\n    second: float", "    second: float\n    first: float")
 )
 CALLED = """
-from tilth.estimator.planted import constants
-from tilth.estimator.planted.constants import CALLED, DEFAULT
+from tilth.estimator.planted.constants import CALLED, DEFAULT, FURTHER
 from tilth.estimator.compiled import kernel
 
 def times(x):
@@ -71,10 +68,9 @@ def by_default(x, factor=DEFAULT):
 
 @kernel
 def further(x):
-    return x * constants.FURTHER
+    return x * FURTHER
 """
 KERNELS = """
-from tilth.estimator.planted import constants
 from tilth.estimator.planted.called import by_default, further, times
 from tilth.estimator.planted.constants import ARRAY, Kind, Mode, PAIR, Pair, PLAIN, TUPLE
 
@@ -105,17 +101,6 @@ def int_enum(x):
 def enum(x):
     return x * Mode.SLOW.value
 
-def enum_of_a_module(x):
-    return x * constants.Mode.SLOW.value
-
-def module_attribute(x):
-    return x * constants.ATTRIBUTE
-
-def function_inside(x):
-    def inner(y):
-        return y * constants.INSIDE
-    return inner(x)
-
 def called_function(x):
     return times(x)
 
@@ -143,8 +128,8 @@ print(json.dumps(results))
 """
 LOOPS = predictor.run_ticks, tracker_kernel.track_ticks, row_filter.run_gains, row_filter.run_response
 Results = dict[str, tuple[float, str, int]]  # kernel -> value, how, taken from what was kept
-BEFORE = {"enum": 0.5, "enum_of_a_module": 0.5, "named_tuple_given": 3.0}
-AFTER = {"enum": 0.7, "enum_of_a_module": 0.7, "named_tuple_given": 3.0}
+BEFORE = {"enum": 0.5, "named_tuple_given": 3.0}
+AFTER = {"enum": 0.7, "named_tuple_given": 3.0}
 NAMES = [line[4 : line.index("(")] for line in KERNELS.splitlines() if line.startswith("def ")]
 
 
@@ -197,11 +182,20 @@ class Wrong(NamedTuple):
     first: float
 
 
-def test_a_value_without_a_text_of_its_own_is_taken_for_no_other() -> None:
-    """Its kernel is compiled anew by each process, which numba may refuse anyway."""
-    source = "def f(x):\n    return x * A.first"
-    one, other = (_function(source, A=SimpleNamespace(first=object())) for _ in range(2))
-    assert digest(one) == digest(one) != digest(other)
+@pytest.mark.parametrize(
+    ("source", "value"),
+    [
+        ("A", kernel_digest),
+        ("A.called", kernel_digest),
+        ("A.first", SimpleNamespace(first=1.0)),
+        ("A[0]", [1.0]),
+        ("(lambda y: y * A)(x)", 1.0),
+    ],
+)
+def test_what_might_be_stale_is_refused(source: str, value: object) -> None:
+    """The attributes of a module of ours, what can be changed, and what functions within it read."""
+    with pytest.raises(TypeError, match="a kernel cannot read"):
+        digest(_function(f"def f(x):\n    return x * {source}", A=value))
 
 
 def test_variables_of_the_function_around_it_are_refused_at_once() -> None:
