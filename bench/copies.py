@@ -68,7 +68,6 @@ USUAL: Final = ("as it is", "at 42", "at 68", "shifted", "reordered")
 SINGLE: Final = {65267: (32, -210.0, False), 129025: (32, 0.0, True)}  # PGN: bits, offset, signed
 FAST: Final = 129029  # its two words of 64 bits begin at bytes 7 and 15 of the payload
 SPREAD_SD: Final = 0.3
-FURTHEST_SD: Final = 0.6
 METHODS: Final = ("pem", "tracker", "recommended")
 
 

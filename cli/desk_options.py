@@ -69,6 +69,17 @@ def add_input(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """The options of where the answer goes, as `write_report` takes them."""
+    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.html",
+        help="write a report with figures to this new file, and JSON beside it",
+    )
+
+
 def after(steering: str) -> str:
     """For people, what the wheels did."""
     if steering == STEP:

@@ -25,6 +25,7 @@ from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
 from tilth.cli import WrongUse, as_given, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
+    add_report,
     add_simulation,
     after,
     between,
@@ -76,13 +77,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
     )
     add_input(parser)
     add_global(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.html",
-        help="write a report with figures to this new file, and JSON beside it",
-    )
+    add_report(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -30,6 +30,7 @@ from tilth.analysis.sensitivity.uncertainty_page import (
 from tilth.cli import WrongUse, as_given, at_least, check_out, say, say_unusual
 from tilth.cli.desk_options import (
     add_input,
+    add_report,
     add_simulation,
     after,
     between,
@@ -92,13 +93,7 @@ def add(subparsers: "argparse._SubParsersAction[argparse.ArgumentParser]") -> No
         "well each parameter must be known for it; may be repeated",
     )
     _add_simulation(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object to stdout")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FILE.html",
-        help="write a report with figures to this new file, and JSON beside it",
-    )
+    add_report(parser)
 
 
 def _add_simulation(parser: argparse.ArgumentParser) -> None:

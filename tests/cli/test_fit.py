@@ -3,20 +3,17 @@
 import csv
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from asked import Answer, asked
 from logs import MACHINE_TEXT
 from recorded import cut, recorded, shared_cache
 from recorded_run import write_run
 
 from tilth.analysis.runs.run import open_runs
-from tilth.cli import main
 from tilth.schemas.flow import PARAMETERS, Status
-
-Answer = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
@@ -24,15 +21,7 @@ def fit(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
     """(status, stdout, stderr) of `tilth fit …`."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(shared_cache()))
 
-    def call(*words: str | Path) -> tuple[int, str, str]:
-        try:
-            status = main(["fit", *map(str, words)])
-        except SystemExit as left:  # argparse
-            status = int(left.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return call
+    return asked(capsys, "fit")
 
 
 def test_json_and_tables_say_the_same(fit: Answer) -> None:

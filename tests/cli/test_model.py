@@ -8,9 +8,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from asked import Answer, asked
 from paths import ROOT, SHARED
 
-from tilth.cli import main
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, rig_of
 from tilth.logger.machine_file import read_machine
 from tilth.schemas.flow import PARAMETERS
@@ -25,20 +25,10 @@ QUICK = ("--seconds", "2")
 
 needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="the reference values are not here")
 
-Answer = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
 def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
-    def ask(*words: object) -> tuple[int, str, str]:
-        try:
-            status = main(["model", *map(str, words)])
-        except SystemExit as end:
-            status = int(str(end.code))
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return ask
+    return asked(capsys, "model")
 
 
 @pytest.fixture

@@ -1,12 +1,12 @@
 """`tilth replay`: its JSON, its table, its exit statuses, and where it publishes."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zenoh
+from asked import Answer, asked
 from logs import (
     MACHINE,
     MACHINE_FILE,
@@ -29,8 +29,6 @@ from tilth.schemas.flow import PARAMETERS, Frame
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.simulator.traffic import simulate
 
-Answer = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture(scope="module")
 def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
@@ -39,15 +37,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Live:
 
 @pytest.fixture
 def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
-    def ask(*words: object) -> tuple[int, str, str]:
-        try:
-            status = main(["replay", *map(str, words)])
-        except SystemExit as stop:
-            status = int(stop.code or 0)
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return ask
+    return asked(capsys, "replay")
 
 
 def test_the_json_summary(live: Live, answer: Answer) -> None:

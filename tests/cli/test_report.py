@@ -5,35 +5,22 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from asked import Answer, asked
 from paths import ROOT
 from report_run import WrittenRun, write_run
 from small_disk import TILTH, on_a_small_disk
 
-from tilth.cli import main
-
 pytestmark = pytest.mark.long
-
-
-Answer = Callable[..., tuple[int, str, str]]
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 
 
 @pytest.fixture
 def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
-    def ask(*words: object) -> tuple[int, str, str]:
-        try:
-            status = main(["report", *map(str, words)])
-        except SystemExit as end:
-            status = int(str(end.code))
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return ask
+    return asked(capsys, "report")
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,13 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from asked import Answer, asked
 from paths import ROOT
 from report_run import write_run
 
@@ -22,28 +22,16 @@ from tilth.analysis.sensitivity.frequency import TRANSFERS
 from tilth.analysis.sensitivity.local import local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import NAMES, SIX
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
-from tilth.cli import main
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 
 pytestmark = pytest.mark.long
-
-
-Answer = Callable[..., tuple[int, str, str]]
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 
 
 @pytest.fixture
 def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
-    def ask(*words: object) -> tuple[int, str, str]:
-        try:
-            status = main(["sensitivity", *map(str, words)])
-        except SystemExit as end:
-            status = int(str(end.code))
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return ask
+    return asked(capsys, "sensitivity")
 
 
 def oversteering(folder: Path) -> Path:

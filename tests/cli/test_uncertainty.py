@@ -1,34 +1,24 @@
 """`tilth uncertainty`: its table, JSON and report, its words for wrong use, its exit status."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from asked import Answer, asked
 from logs import MACHINE_TEXT
 from paths import ROOT
 from report_run import WrittenRun, write_run
 from small_disk import TILTH, on_a_small_disk
 
-from tilth.cli import main
 from tilth.schemas.flow import PARAMETERS
 
-Answer = Callable[..., tuple[int, str, str]]
 MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 QUICK = ("--speed", "4.5", "--draws", "100")
 
 
 @pytest.fixture
 def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
-    def ask(*words: object) -> tuple[int, str, str]:
-        try:
-            status = main(["uncertainty", *map(str, words)])
-        except SystemExit as end:
-            status = int(str(end.code))
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return ask
+    return asked(capsys, "uncertainty")
 
 
 def test_what_the_machine_file_knows(answer: Answer) -> None:
