@@ -36,7 +36,7 @@ TOOLS = (
 )  # fmt: skip
 PACKAGES = "qemu-system-x86 busybox-static cpio kmod iproute2 can-utils"
 MACHINE = (
-    "-accel tcg -cpu max -smp 2 -m 1024 -nodefaults -no-reboot -display none "
+    "-accel tcg -cpu max -smp 1 -m 1024 -nodefaults -no-reboot -display none "
     "-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"
 )
 KERNEL = "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check"

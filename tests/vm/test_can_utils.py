@@ -1,7 +1,6 @@
 """The real SocketCAN path: what can-utils send and see, against what the daemon's log holds."""
 
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -185,20 +184,3 @@ def test_the_other_bus_never_stopped(drive: Drive) -> None:
     assert steady == list(range(len(steady))) and len(steady) > 200
     assert len(frames) == int(drive.times["steady"])
     assert drive.buses("vcan3")[-1].lost_frames == 0
-
-
-def test_beside_candump_and_python_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Printed, not judged: nothing here has the speed of hardware."""
-    text = machine_text("can0").replace('channel = "can0"', 'channel = "vcan0"')
-    (tmp_path / "machine.toml").write_text(text)
-    with boot(["bash", "-e", "tests/vm/beside.sh"], tmp_path) as guest:
-        guest.finish()
-    rows = {}
-    for line in (tmp_path / "cpu").read_text().splitlines():
-        name, ticks, frames = line.split()
-        rows[name] = int(ticks) * 10_000 / int(frames)  # us
-        assert int(frames) >= 4000
-    ours = rows["tilth"]
-    words = [f" {name} {cost:.0f} us ({cost / ours:.2f} of ours)" for name, cost in rows.items()]
-    with capsys.disabled():
-        sys.stdout.write(f"\nCPU for each frame on an emulated processor:{','.join(words)}\n")

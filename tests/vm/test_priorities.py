@@ -1,23 +1,45 @@
-"""Under the recorder's own unit, with its filter of system calls: what is to stand behind it really does."""
+"""Under the recorder's own unit, with its filter of system calls: what is to stand behind it really does.
+
+The computer is this one's kernel, in namespaces (contained.py), and by hand the virtual machine:
+`pytest -m "vm or vm_systemd" -n 0 tests/vm/test_priorities.py`.
+"""
 
 import json
 import sysconfig
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import contained
+import guest
 import pytest
-from guest import CHECKOUT, boot, missing
-
-pytestmark = [pytest.mark.vm, pytest.mark.skipif(missing() != "", reason=missing())]
-
-HERE = Path(__file__).parent
+from guest import CHECKOUT, HERE
 
 
-def test_fits_reports_and_the_compiling_step_back_under_the_filter(tmp_path: Path) -> None:
+def in_the_machine(scenario: Sequence[str], out: Path) -> None:
+    with guest.boot(["bash", "-x", str(HERE / "with_systemd.sh"), *scenario], out) as machine:
+        machine.finish()
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        pytest.param(
+            contained.with_systemd,
+            marks=[pytest.mark.vm, pytest.mark.skipif(contained.missing() != "", reason=contained.missing())],
+        ),
+        pytest.param(
+            in_the_machine,
+            marks=[pytest.mark.vm_systemd, pytest.mark.skipif(guest.missing() != "", reason=guest.missing())],
+        ),
+    ],
+)
+def test_fits_reports_and_the_compiling_step_back_under_the_filter(
+    run: Callable[[Sequence[str], Path], None], tmp_path: Path
+) -> None:
     out = tmp_path / "out"
+    out.mkdir()
     environment = ["env", f"CHECKOUT={CHECKOUT}", f"NEEDED={sysconfig.get_path('purelib')}"]
-    command = ["bash", "-x", str(HERE / "with_systemd.sh"), *environment]
-    with boot([*command, "bash", "-ex", str(HERE / "priorities.sh")], out) as guest:
-        guest.finish()
+    run([*environment, "bash", "-ex", str(HERE / "priorities.sh")], out)
     errors = (out / "errors.txt").read_text()
     found = json.loads((out / "found.json").read_text() or "null")
     assert found is not None, errors

@@ -27,6 +27,12 @@ def _facts(run: Run) -> str:
     return json.dumps(facts_of(run), allow_nan=False)
 
 
+@pytest.fixture(scope="session")
+def untouched(_facts: str) -> Any:
+    """What a report tells of that run, which no test changes."""
+    return json.loads(_facts)
+
+
 @pytest.fixture
 def facts(_facts: str) -> Any:
     """What a report tells of that run; a test may change it."""

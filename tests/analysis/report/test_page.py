@@ -57,9 +57,15 @@ def read(text: str) -> Reading:
     return found
 
 
-@pytest.fixture
-def report(facts: Any) -> DriveReport:
-    return report_of(everything() | {"runs": [facts], "command": "tilth report a.mcap"})
+@pytest.fixture(scope="module")
+def report(untouched: Any) -> DriveReport:
+    return report_of(everything() | {"runs": [untouched], "command": "tilth report a.mcap"})
+
+
+@pytest.fixture(scope="module")
+def text(report: DriveReport) -> str:
+    """The page of that report."""
+    return page(report)
 
 
 def numbers_in(value: Any) -> Iterator[float]:
@@ -73,15 +79,14 @@ def numbers_in(value: Any) -> Iterator[float]:
         yield value
 
 
-def test_it_is_well_formed_and_its_headings_are_in_order(report: DriveReport) -> None:
-    found = read(page(report))
+def test_it_is_well_formed_and_its_headings_are_in_order(text: str) -> None:
+    found = read(text)
     assert found.headings[0] == 1 and found.headings.count(1) == 1
     assert all(after <= before + 1 for before, after in zip(found.headings, found.headings[1:], strict=False))
     assert ("html", {"lang": "en"}) in found.tags
 
 
-def test_every_id_is_there_once_and_every_reference_has_one(report: DriveReport) -> None:
-    text = page(report)
+def test_every_id_is_there_once_and_every_reference_has_one(text: str) -> None:
     ids = re.findall(r'\bid="([^"]+)"', text)
     assert len(ids) == len(set(ids))
     used = set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text))
@@ -90,17 +95,16 @@ def test_every_id_is_there_once_and_every_reference_has_one(report: DriveReport)
     assert used <= set(ids)
 
 
-def test_nothing_comes_from_elsewhere(report: DriveReport) -> None:
-    text = page(report)
+def test_nothing_comes_from_elsewhere(text: str) -> None:
     assert "http" not in text and "//" not in re.sub(r"/\*.*?\*/", "", text)
     tags = {tag for tag, _ in read(text).tags}
     assert not tags & {"script", "link", "img", "iframe", "object", "base"}
     assert "@import" not in text and "javascript" not in text
 
 
-def test_every_table_cell_stands_in_the_json_with_its_number(report: DriveReport) -> None:
+def test_every_table_cell_stands_in_the_json_with_its_number(report: DriveReport, text: str) -> None:
     content = as_json(report)
-    shown = [cell.replace("\u00a0", " ") for cell in read(page(report)).cells if cell]
+    shown = [cell.replace("\u00a0", " ") for cell in read(text).cells if cell]
     texts: list[str] = []
     for part in parts_of(report.sections):
         if isinstance(part, ReportTable):
@@ -118,8 +122,7 @@ def test_every_table_cell_stands_in_the_json_with_its_number(report: DriveReport
                         assert round(cell.value, 9) in known, (part.id, cell)
 
 
-def test_tables_and_figures_can_be_heard(report: DriveReport) -> None:
-    text = page(report)
+def test_tables_and_figures_can_be_heard(report: DriveReport, text: str) -> None:
     tables, figures = text.count("<table"), text.count("<svg")
     assert tables == text.count("<caption>") > 8
     assert figures == len(list(figures_of(report))) > 7
@@ -135,24 +138,22 @@ def test_tables_and_figures_can_be_heard(report: DriveReport) -> None:
     assert text.count("<title id=") == text.count("<desc id=") == figures
 
 
-def test_what_people_wrote_is_text(report: DriveReport, facts: Any) -> None:
-    text = page(report)
+def test_what_people_wrote_is_text(text: str, facts: Any) -> None:
     assert WRITTEN not in text and "&lt;script&gt;alert(&#x27;a &amp; b&#x27;)&lt;/script&gt;" in text
     assert "clay &lt;dry&gt;" in text
     facts["id"] = '"><b>x</b>'
     assert "<b>x" not in page(report_of({"runs": [facts], "command": ""}))
 
 
-def test_light_dark_and_paper(report: DriveReport) -> None:
-    text = page(report)
+def test_light_dark_and_paper(text: str) -> None:
     assert "prefers-color-scheme: dark" in text and "@media print" in text
     figures = re.findall(r"<svg.*?</svg>", text, re.S)
     assert all("var(--ink)" in one for one in figures)
     assert not any("#141414" in one or "#ffffff" in one for one in figures)
 
 
-def test_the_same_bytes_from_the_same_report(report: DriveReport) -> None:
-    assert page(report) == page(report)
+def test_the_same_bytes_from_the_same_report(report: DriveReport, text: str) -> None:
+    assert page(report) == text
 
 
 def test_what_is_absent_is_left_out(facts: Any) -> None:
@@ -181,5 +182,5 @@ def test_a_run_is_called_as_people_call_it(facts: Any) -> None:
     assert report_of({"runs": [facts | {"start_utc_s": None}], "command": ""}).title.endswith(facts["id"])
 
 
-def test_a_small_file(report: DriveReport) -> None:
-    assert len(page(report)) < 1_500_000
+def test_a_small_file(text: str) -> None:
+    assert len(text) < 1_500_000

@@ -217,7 +217,7 @@ def _started(logs: Path, out: Path) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", START, *words], start_new_session=True)
 
 
-CUTS = int(os.environ.get("TILTH_SEASON_CUTS", "5"))
+CUTS = int(os.environ.get("TILTH_SEASON_CUTS", "3"))
 
 
 @pytest.mark.long

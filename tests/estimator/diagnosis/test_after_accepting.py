@@ -43,8 +43,13 @@ MOVED: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     DRAWBAR: ((0.1,), (0.02,)),
 }
 """What was moved -> by how much, and the sds with which the watch finds it in fields; m or rad."""
+# One of each kind, and each way: what is done for one receiver, or one pair, is done for the others.
 EACH = [
-    pytest.param(name, marks=pytest.mark.long if name == WHEEL else pytest.mark.coverage) for name in MOVED
+    pytest.param(WHEEL, marks=pytest.mark.long),
+    *(
+        pytest.param(name, marks=pytest.mark.coverage)
+        for name in ("tractor_front", "implement_rear", PAIRS[1], DRAWBAR)
+    ),
 ]
 OFF = 1.5  # sds by which the accepted value is wrong
 ACCEPT_S, CHANGE_S, TURNS_AGAIN_S = 2.0, 38.0, 41.0

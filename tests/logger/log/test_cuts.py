@@ -16,7 +16,7 @@ from paths import SUPPORT
 from tilth.logger.log.recovery import finish, rescue, unfinished
 
 pytestmark = pytest.mark.cuts
-KILLS, CUTS, AT_A_TIME = 200, 200, 8
+KILLS, CUTS, AT_A_TIME = 104, 200, 8
 
 
 @pytest.fixture(scope="module")
