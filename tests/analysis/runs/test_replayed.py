@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from cart import CART, LOAD_TEXT
 from logs import MACHINE, MACHINE_TEXT, write_candump
 
 from tilth.analysis.runs import driving as module
@@ -42,3 +43,11 @@ def test_its_driving_is_what_a_fold_without_estimators_gives(
         for at in found
     ]
     assert packed(tuple(told)) == packed(alone)
+
+
+def test_that_of_a_rig_whose_load_may_change_under_way_is_made_when_it_is_asked_for(tmp_path: Path) -> None:
+    log = write_candump(tmp_path / "x.log", simulate(MACHINE, 1, 2.0))
+    (run,) = open_runs(log, machine=(CART, MACHINE_TEXT + LOAD_TEXT), cache=tmp_path / "kept")
+    assert run.poses.rows
+    assert [path.suffix for path in (tmp_path / "kept").iterdir()] == [".mcap"]
+    assert len(driving(run, cache=tmp_path / "kept")) == run.poses.rows
