@@ -32,7 +32,7 @@ from tilth.analysis.experiment.propose import NUMBERS, WantedPlan, largest, prop
 from tilth.analysis.fit.fitting import Fitted
 from tilth.analysis.fit.joint import Linearised, join, linearise
 from tilth.analysis.fit.segment_fit import SegmentFit, fit_segment
-from tilth.analysis.runs.driving import Driven
+from tilth.analysis.runs.driven import Driven
 from tilth.client.experiment.prompter import course_of
 from tilth.estimator import fold
 from tilth.estimator.filters.unknowns import SIX

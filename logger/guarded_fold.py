@@ -39,6 +39,7 @@ from tilth.estimator.fold import (
 )
 from tilth.estimator.pose import log_time
 from tilth.estimator.pose.geometry import to_degrees
+from tilth.estimator.record.record import Segment
 from tilth.estimator.record.windows import AWAITED, OPEN, TAKEN
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.warm_start import SavedPosterior
@@ -56,6 +57,7 @@ from tilth.schemas.flow import (
     Frame,
     Origin,
     ParameterEstimate,
+    Pose,
     Publication,
     Status,
 )
@@ -71,6 +73,8 @@ PAUSE_NS = 1_000_000_000  # of the frames' clock: a fault at every frame must no
 HearFit = Callable[[State, str, Any], None]
 """Takes the state, in which the job of the fit is pending still; its method; its result, None if there is
 none."""
+HearPose = Callable[[State, Pose, Segment | None], None]
+"""Takes the state, a pose, and the segment of the record that it completed."""
 _METHOD_OF = {  # topic -> method, of all channels that carry estimates
     channel.topic: channel.topic.removeprefix("/soil_tire").removeprefix("/") or RECOMMENDED
     for channel in CHANNELS
@@ -89,11 +93,13 @@ class GuardedFold:
         *,
         encoded: bool = True,
         hear_fit: HearFit | None = None,
+        hear_pose: HearPose | None = None,
     ) -> None:
         """The fold before the first frame, or as `renew` wrote it. Raises NotRestorable for another's text.
 
         fitter: makes the fits that are asked for; None: at once, here. encoded: False where nobody reads the
-        bytes of what it gives; they are empty then. hear_fit: told of each fit before it is used.
+        bytes of what it gives; they are empty then. hear_fit: told of each fit before it is used. hear_pose:
+        told of each pose.
         """
         # For good: a sum that is split among threads is rounded otherwise, and waiting threads take a core.
         threadpool_limits(1)
@@ -104,6 +110,7 @@ class GuardedFold:
         self._machine = machine
         self._fitter = fitter or InPlace(machine)
         self._hear_fit = hear_fit
+        self._hear_pose = hear_pose
         self._rig = machine  # that the fitter knows
         if self.state.machine is not machine:
             self._use_rig()
@@ -278,6 +285,7 @@ class GuardedFold:
                 self._decided.clear()
                 self._due_ns = self._first_due_ns()
             if self.state.poses != poses:
+                self._tell_poses(publications)
                 self._ask(frame.t_ns)
             if self._due_ns is not None:
                 publications += self.decided(self.state.latest_ns)
@@ -291,6 +299,13 @@ class GuardedFold:
             if isinstance(publication.value, Estimate):
                 self.estimates[publication.value.method] = publication.value
         return encoded
+
+    def _tell_poses(self, publications: Sequence[Publication]) -> None:
+        """publications: of the last frame."""
+        if self._hear_pose is not None:
+            poses = [one.value for one in publications if isinstance(one.value, Pose)]
+            for pose, segment in zip(poses, self.state.segments, strict=True):
+                self._hear_pose(self.state, pose, segment)
 
     def decided(self, t_ns: int) -> list[Publication]:
         """What becomes of the fits that are due: logged now, used at the next frame. One that is not ready

@@ -19,7 +19,7 @@ from tilth.estimator.pose.log_time import LogTime
 from tilth.estimator.pose.usual_frames import usual
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.logger.fitting import ReplayedFits
-from tilth.logger.guarded_fold import GuardedFold, HearFit
+from tilth.logger.guarded_fold import GuardedFold, HearFit, HearPose
 from tilth.logger.log.mcap_log import LogWriter
 from tilth.replay.compare import COMPARED, Comparison
 from tilth.replay.readers.any_log import metadata, open_log, place
@@ -98,6 +98,7 @@ class ReplayOutputs:
     pace: Callable[[int], None] | None = None  # waits for a time of the log, ns
     progress: Callable[[int], None] | None = None  # takes the number of bytes read so far
     fit: HearFit | None = None  # told of each fit before it is used
+    pose: HearPose | None = None  # told of each pose
 
 
 class Pace:
@@ -188,8 +189,9 @@ class _Run:
 
     def _new_fold(self, state_json: str | None = None) -> GuardedFold:
         return GuardedFold(
-            self._machine, state_json, self.fitter, encoded=self._encoded, hear_fit=self._outputs.fit
-        )
+            self._machine, state_json, self.fitter,
+            encoded=self._encoded, hear_fit=self._outputs.fit, hear_pose=self._outputs.pose,
+        )  # fmt: skip
 
     def log(self, path: Path, buses: Mapping[str, str]) -> None:
         comparison = self._outputs.comparison

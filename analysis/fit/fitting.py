@@ -22,7 +22,8 @@ from tilth.analysis.fit.joint import Joint, Linearised, join, linearise
 from tilth.analysis.fit.segment_fit import METHODS, TWO_STEP, SegmentFit, fit_segment
 from tilth.analysis.fit.side_by_side import processes, side_by_side
 from tilth.analysis.runs import segments
-from tilth.analysis.runs.driving import Driven, driving, identity
+from tilth.analysis.runs.driven import Driven, identity
+from tilth.analysis.runs.driving import driving
 from tilth.analysis.runs.kept import cache_folder, key_of, load, store
 from tilth.analysis.runs.run import Run
 from tilth.analysis.runs.segments import DrivenSegment

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from tilth.analysis.runs.driving import Driven
+from tilth.analysis.runs.driven import Driven
 from tilth.estimator.filters.unknowns import NOISE
 from tilth.estimator.methods import pem
 from tilth.estimator.methods.estimators import ROW, Estimator

@@ -1,36 +1,23 @@
 """A run's driving as the estimators take it: each pose with the raw measurements before it.
 
-Made by the same fold as live, without its estimators; kept, since fits ask for it again and again.
+Made by the same fold as live, without its estimators; kept, since fits ask for it again and again. That of a
+log that is replayed for its results is kept then (replayed.py).
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from tilth.analysis.runs.kept import Progress, cache_folder, key_of, load, no_progress, store
+from tilth.analysis.runs.driven import Driven, kept_driving
+from tilth.analysis.runs.kept import Progress, cache_folder, load, no_progress, store
 from tilth.analysis.runs.run import Run
 from tilth.estimator import fold
-from tilth.estimator.record.record import Segment
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.flow import Frame, Pose
 from tilth.schemas.proto.tilth_pb2 import Snapshot
 
 SHOWN_EVERY: Final = 8192  # frames between two looks at a progress bar
-_ENDS: Final = 1 << 20  # bytes at both ends of a file that tell it from another
-
-
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """A pose, and what was measured between the two poses before it; None before the third pose."""
-
-    pose: Pose
-    segment: Segment | None
-
-    @property
-    def t_ns(self) -> int:
-        return self.pose.t_ns
 
 
 def driving(run: Run, progress: Progress = no_progress, cache: Path | None = None) -> tuple[Driven, ...]:
@@ -38,9 +25,8 @@ def driving(run: Run, progress: Progress = no_progress, cache: Path | None = Non
 
     progress: takes (done, all) of bytes.
     """
-    files = [identity(file.path) for file in run.files]
-    name = key_of(*files, run.machine_file.sha256)
-    kept = (cache or cache_folder()) / f"{name}.driving"
+    files = [file.path for file in run.files]
+    kept = kept_driving(cache or cache_folder(), files, run.machine_file.sha256)
     found = _loaded(kept, kept.stat().st_mtime_ns) if kept.exists() else None
     if found is None:
         damage = list[str]()
@@ -81,15 +67,6 @@ def _take_addresses(run: Run, state: fold.State, stored: Snapshot) -> None:
         state.decoder = restore_decoder(run.machine, stored.state_json)
     except NotRestorable:
         return
-
-
-def identity(path: Path) -> str:
-    """Of a log: its size, and the bytes at its beginning and end, where the index has all checksums."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(_ENDS)
-        file.seek(max(0, size - _ENDS))
-        return key_of(size, head, file.read(_ENDS))
 
 
 @lru_cache(maxsize=1)

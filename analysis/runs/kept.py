@@ -1,4 +1,4 @@
-"""What is computed from a log and kept, so that it is computed once: its replay, where it holds no results.
+"""What is computed from a log and kept, so that it is computed once.
 
 The name of what is kept tells of what it was made: the log's bytes, the machine file, the version.
 """
@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -17,16 +17,8 @@ import zstandard
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.log import whole_file
 from tilth.logger.log.derived import Derived
-from tilth.logger.log.mcap_log import LogWriter, RunPart
 from tilth.logger.log.software import software
-from tilth.replay.kept_room import room_for
-from tilth.replay.offline import ReplayOutputs, replay
-from tilth.replay.readers.any_log import open_log
-from tilth.replay.simulated import simulated_by
-from tilth.schemas.flow import Frame
 from tilth.schemas.log_settings import Log
-from tilth.schemas.machine_toml import MachineFile
-from tilth.schemas.readable import readable
 
 Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
@@ -119,47 +111,3 @@ def store(path: Path, found: object, log: Log) -> None:
         if not has_room(path.parent, log):
             return
         whole_file.write(path, stored)
-
-
-def replayed(
-    path: Path,
-    machine_file: MachineFile,
-    buses: Mapping[str, str],
-    progress: Progress,
-    say: Say,
-    cache: Path | None = None,
-) -> Path:
-    """The log as a replay gives it, with frames and results, made now unless it is kept.
-
-    Raises LogError, NoRoom where its disk is too full, OSError. An interrupted replay leaves nothing under
-    the final name.
-    """
-    folder = cache or cache_folder()
-    names = sorted(buses.items())
-    kept = folder / f"{key_of(sha256_of(path), machine_file.sha256, names)}.mcap"
-    if kept.exists():
-        with contextlib.suppress(OSError):  # it is in use
-            kept.touch()
-        return kept
-    room = room_for(caches(folder, machine_file.machine.log), [path])
-    say(f"{path}: is replayed for its poses, once; they are kept")
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = kept.with_suffix(f".{os.getpid()}.part")
-    size = path.stat().st_size
-    run = RunPart(readable(path.stem), 1, _first_ns(path), simulated=simulated_by([path]))
-    writer = LogWriter(unfinished, machine_file, run)
-    try:
-        with contextlib.closing(writer):
-            outputs = ReplayOutputs(writer, progress=lambda done: progress(room(done), size))
-            replay([path], machine_file, buses=buses, outputs=outputs, say=say)
-        unfinished.replace(kept)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return kept
-
-
-def _first_ns(path: Path) -> int:
-    """t_ns of the first frame, 0 without any."""
-    log = open_log(path)
-    with log.file:
-        return next((record.t_ns for record in log.records if isinstance(record, Frame)), 0)

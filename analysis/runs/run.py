@@ -4,7 +4,7 @@
     run.poses["tractor_yaw_rate_radps"]
 
 A file is read when something of it is asked for. A log that holds no poses, as those of other programs do, is
-replayed first, and the replayed log is kept (kept.py).
+replayed first, and the replayed log is kept (replayed.py).
 """
 
 import io
@@ -20,9 +20,10 @@ from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.given_once import check_given_once
-from tilth.analysis.runs.kept import Progress, Say, no_progress, replayed, silent
+from tilth.analysis.runs.kept import Progress, Say, no_progress, silent
 from tilth.analysis.runs.log_file import DAEMON_RUN, LogFile
 from tilth.analysis.runs.reading import ChannelReader, RunClock, indexed_topics
+from tilth.analysis.runs.replayed import replayed
 from tilth.analysis.runs.table import Table, joined
 from tilth.logger.log.mcap_file import DAMAGE, MAGIC
 from tilth.logger.log.mcap_summary import metadata_bodies

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.fit.side_by_side import Map
-from tilth.analysis.runs.driving import Driven
+from tilth.analysis.runs.driven import Driven
 from tilth.estimator.filters import likelihood, unknowns
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.states import X_POSITION, X_PSI, X_R, X_V

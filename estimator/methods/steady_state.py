@@ -415,8 +415,9 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
     """The estimate at t_ns."""
     of_data = identifiability(state)
     rank, information = of_data.rank(), of_data.information
-    bounds = advice.bound(information, state.prior_sd[:3])
     age = age_s(state.informed_ns, t_ns)
+    told = age is not None and advice.is_read()
+    bounds = advice.bound(information, state.prior_sd[:3]) if told else ()
     over_sds = _over_masses(state)
     over = [
         age is not None and rank == 3 and is_supported(had, sd, own)
@@ -460,10 +461,8 @@ def estimate(state: SteadyState, machine: Machine, t_ns: int) -> Estimate:
         condition=condition_number(of_data.values),
         excitation={"steady_s": state.steady_s, "sideslip_s": state.sideslip_s, "forgotten": state.forgotten},
         window_s=state.steady_s,
-        determined=advice.determined(information, state.prior_sd[:3]) if age is not None else (),
-        bound=(*(math.inf if sd is None else sd for sd in bounds), *[math.inf] * 3)
-        if age is not None
-        else (),
+        determined=advice.determined(information, state.prior_sd[:3]) if told else (),
+        bound=(*(math.inf if sd is None else sd for sd in bounds), *[math.inf] * 3) if told else (),
     )
 
 

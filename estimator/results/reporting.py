@@ -141,12 +141,12 @@ class _OfData(NamedTuple):
 
 
 @lru_cache(maxsize=8)  # that of a fit stays the same until the next one
-def _of_data(covariance: bytes, prior_sd: bytes, learned: bool) -> _OfData:
-    """covariance: (6, 6), reported. learned: whether anything was."""
+def _of_data(covariance: bytes, prior_sd: bytes, told: bool) -> _OfData:
+    """covariance: (6, 6), reported. told: whether anything was learned, of which somebody reads all."""
     prior = np.frombuffer(prior_sd)
     information = advice.information_of(np.frombuffer(covariance).reshape(6, 6), prior)
     eigenvalues = np.array(advice.eigenvalues(information, prior))
-    if not learned:
+    if not told:
         return _OfData(eigenvalues, (), ())
     bound = tuple(math.inf if b is None else b for b in advice.bound(information, prior))
     return _OfData(eigenvalues, bound, advice.determined(information, prior))
@@ -165,7 +165,7 @@ def six_parameter_estimate(
     prior_sd, sds = state.prior_sd[SIX], np.sqrt(np.diag(covariance))
     by_today = sds if today is None else np.sqrt(np.diag(today))
     age = age_s(state.informed_ns, t_ns)
-    of_data = _of_data(covariance.tobytes(), prior_sd.tobytes(), age is not None)
+    of_data = _of_data(covariance.tobytes(), prior_sd.tobytes(), age is not None and advice.is_read())
     parameters = []
     of_masses = [float(state.prior_sd[AT[name]] ** 2) for name in OVER]
     over_sds = log_sds_over_masses(covariance, of_masses)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from studies.rows.study import opened
-from tilth.analysis.runs.driving import Driven, driving
+from tilth.analysis.runs.driven import Driven
+from tilth.analysis.runs.driving import driving
 from tilth.estimator.filters import likelihood, scoring, unknowns
 from tilth.estimator.filters.contrast import MOTION, ToldOfMotion, told_beside
 from tilth.estimator.filters.likelihood import Search, inverse

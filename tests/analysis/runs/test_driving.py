@@ -8,7 +8,8 @@ from recorded import recorded
 
 import tilth.analysis
 from tilth.analysis.runs import driving as module
-from tilth.analysis.runs.driving import Driven, driving
+from tilth.analysis.runs.driven import Driven
+from tilth.analysis.runs.driving import driving
 
 pytestmark = pytest.mark.long
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -218,6 +219,18 @@ def _started(logs: Path, out: Path) -> subprocess.Popen[bytes]:
 
 
 CUTS = int(os.environ.get("TILTH_SEASON_CUTS", "3"))
+
+
+@pytest.mark.long
+def test_the_table_is_the_same_where_all_that_nobody_reads_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unread, read = tmp_path / "unread", tmp_path / "read"
+    made(*recorded().parts, out=unread)
+    monkeypatch.setattr("tilth.analysis.season.identified.advice.unread", nullcontext)
+    made(*recorded().parts, out=read)
+    assert any(row["kind"] == "stretch" for row in rows_of(read))
+    assert (unread / TABLE).read_bytes() == (read / TABLE).read_bytes()
 
 
 @pytest.mark.long

@@ -243,15 +243,19 @@ def test_the_fold_and_its_stretches_give_the_same() -> None:
     assert method_state.mean.tobytes() == state.estimators[tracker.METHOD].mean.tobytes()
 
 
-def test_advice_that_nobody_reads_is_not_made_and_the_same_is_learned() -> None:
+def test_what_nobody_reads_is_not_made_and_the_same_is_learned() -> None:
     _, given, _, _ = driven(RANDOM, 0)
     advised = learned(given)
     with advice.unread():
         unread = learned(given)
+        of_unread = tracker.estimate(unread, MACHINE, unread.last_pose_ns)
     assert advised.advisor.table and advised.advisor.advice
     assert not unread.advisor.table and unread.advisor.advice is None
     for name in ("mean", "covariance", "P_xtheta"):
         assert getattr(unread, name).tobytes() == getattr(advised, name).tobytes()
+    of_all = tracker.estimate(advised, MACHINE, advised.last_pose_ns)
+    assert of_all.bound and of_all.determined
+    assert of_unread == replace(of_all, bound=(), determined=(), advice=None)
     assert learned(given[: len(given) // 2]).advisor.table  # read again from here on
 
 

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from logs import MACHINE, MACHINE_TEXT, write_candump
 
-from tilth.analysis.runs.kept import caches, replayed
+from tilth.analysis.runs.kept import caches
+from tilth.analysis.runs.replayed import replayed
 from tilth.logger.clock import Clock
 from tilth.logger.log.derived import RECENT_S, Derived, reports_in
 from tilth.logger.log.room import Room
