@@ -112,10 +112,10 @@ def rows_to_fit(block: Block) -> tuple[list[Record], bool]:
 
 
 def end(block: Block) -> None:
-    """What follows is of another block. Where there are rows in it that are not fitted yet, it is fitted for
-    the last time, however few they are; else it is begun anew."""
+    """What follows is of another block. With a row more than its last fit had, it is fitted for the last
+    time; else it is begun anew."""
     end_row(block)
-    block.ended = seconds(block) > block.fitted_s
+    block.ended = seconds(block) - block.fitted_s >= ROWS.shortest_s
     if not block.ended:
         forget(block)
 
