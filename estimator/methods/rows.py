@@ -94,7 +94,7 @@ class Fit:
     tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
     told: Told | None = None  # what the block alone tells of the six
-    of_file: Misfit | None = None  # what all rows so far tell of the machine file
+    of_file: Misfit | None = None  # what all rows so far tell of the machine file; not with a short block
 
 
 @dataclass(slots=True)
@@ -188,7 +188,9 @@ def fit(machine: Machine, job: Job) -> Fit:
     tie = fitted.is_tie((chi_square, TUNING.change_chi_square), *shares)
     refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
     alone = None if refused else _told(start, known, found, (prior_mean, prior_sd))
-    of_file = None if refused else open_tracker.of_fit(machine, found.mean, found.covariance, prior(machine))
+    of_file = None
+    if not refused and straight_rows.is_long(job.rows):
+        of_file = open_tracker.of_fit(machine, found.mean, found.covariance, prior(machine))
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
         tie, refused, alone, of_file,

@@ -99,6 +99,11 @@ def is_due(block: Block) -> bool:
     return block.ended or any(block.fitted_s < limit <= now for limit in ROWS.fitted_at_s)
 
 
+def is_long(records: list[Record]) -> bool:
+    """Whether these rows are enough for a fit where no stop ends them: with less any machine file agrees."""
+    return sum(len(record.ticks) for record in records) * TICK_NS >= ROWS.fitted_at_s[0] * 1e9
+
+
 def rows_to_fit(block: Block) -> tuple[list[Record], bool]:
     """(the rows of a block so far, whether it is full). A full one is begun anew."""
     records = list(block.complete)

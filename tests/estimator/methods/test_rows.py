@@ -23,6 +23,7 @@ from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
 from tilth.estimator.methods.open_tracker import from_file, opened
 from tilth.estimator.methods.rows import Fit, Job, RowsState
+from tilth.estimator.record import straight_rows
 from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.machine_file import read_machine
@@ -224,6 +225,7 @@ def test_a_stop_ends_a_block_and_what_is_there_is_fitted(
     jobs += [job] if (job := rows.request_fit(state, t_ns)) else []
     assert [job.rows[-1].end_ns - job.rows[0].t_ns for job in jobs[first:]] == [last_s * S] * (last_s > 0.0)
     assert all(job.full for job in jobs[first:])
+    assert all(straight_rows.is_long(job.rows) == (last_s >= 120.0) for job in jobs[first:])
     if state.job is not None:
         rows.adopt(state, MACHINE, result(state, state.job), t_ns)
     assert np.array_equal(state.before_mean, state.mean) and not state.block.row and not state.block.complete
