@@ -1,6 +1,6 @@
 """Is another load of the implement told from other soil, and do intervals hold? Drives drawn anew.
 
-    python bench/loads.py [--count 12] [--first 0] [--row told] [--fleet]
+    python bench/loads.py [--count 12] [--first 0] [--row told] [--fleet] [--plant spatial]
 
 Each drive of 110 s turns to and fro, with soil, rig and sensors by its seed; at 60 s something changes,
 over 5 s. Rows: `told`, unloading from 8.5 t to 2.1 t that the operator says, n = 0.7; `unsaid`, the same
@@ -11,14 +11,15 @@ how far what is recommended for C_ai over the mass is off just before the change
 of driving) and at the end, in published sds, with the sds of C_af and C_ar over the tractor's mass; and the
 furthest of the numbers given for C_af, C_ar and C_ai. --fleet: rigs of the fleet with implements of 1 to 3 t,
 which carry three times as much, instead of the packaged rig; numbers of rigs that are not so light are left
-out.
+out. --plant spatial: bodies and tyres in space, which follow their loads of themselves, on 1 cm rms.
 """
 
 import math
 from argparse import ArgumentParser
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib import resources
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from estimation_study import FIELD, UNEVEN, fitted_at_once
@@ -29,7 +30,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import MOST_TOWED, drawn, scenario_of
 from tilth.simulator.fleet_files import owners_text, true_machine
-from tilth.simulator.scenario import LoadChange, Scenario, Soil, SoilChange
+from tilth.simulator.scenario import Ground, LoadChange, Scenario, Soil, SoilChange, Spatial
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
 
@@ -41,6 +42,9 @@ CART: Final = (
 )
 WHEELS: Final = ((2.0, 0.0), (7.0, 12.0), (4.0, 0.0), (7.0, -10.0), (2.0, 0.0), (6.0, 14.0), (6.0, -14.0))
 SOFTER: Final = {"C_af": 0.6, "C_ar": 0.6, "C_ai": 0.6}
+
+
+Plant = Literal["planar", "spatial"]
 
 
 class Case(NamedTuple):
@@ -71,38 +75,46 @@ class LoadedRig(NamedTuple):
     parameters: Sequence[float]  # C_af, C_ar, C_ai with the empty one
 
 
-def packaged(case: Case, seed: int) -> LoadedRig:
+def packaged(case: Case, seed: int, plant: Plant) -> LoadedRig:
     text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
-    machine, drive = parse_machine(text), scenario(case)
+    machine, drive = parse_machine(text), scenario(case, plant)
     theta = draw(machine, seed, drive)
     return LoadedRig(text, machine, EMPTY, drive, [theta[name] for name in PARAMETERS[:3]])
 
 
-def of_fleet(case: Case, seed: int) -> LoadedRig | None:
+def of_fleet(case: Case, seed: int, plant: Plant) -> LoadedRig | None:
     """None where its implement is no light one, or too heavy for the tractor when it is full."""
     rig = drawn(seed)
     mass = rig.implement.mass
     if mass > LIGHT or FULL * mass > MOST_TOWED * rig.tractor.mass:
         return None
-    drive = scenario_of(rig, scenario(case))
+    drive = scenario_of(rig, scenario(case, plant))
+    drive = replace(drive, spatial=replace(drive.spatial, load_exponent=_exponent(case, plant)))
     theta = [rig.parameters["C_af"], rig.parameters["C_ar"], rig.parameters["C_ai"]]
     return LoadedRig(owners_text(rig), true_machine(rig), mass, drive, theta)
 
 
-def scenario(case: Case) -> Scenario:
-    loads = [LoadChange(0.0, FULL, exponent=case.exponent)]
+def scenario(case: Case, plant: Plant) -> Scenario:
+    of_change = case.exponent if plant == "planar" else LoadChange(0.0, FULL).exponent
+    loads = [LoadChange(0.0, FULL, exponent=of_change)]
     soil = FIELD
     if case.unloads:
         begins_s = AT_S + case.stop_s / 3.0  # when it has come to a stop
-        loads.append(LoadChange(begins_s, 1.0 / FULL, (case.stop_s or 3.0 * TAKES_S) / 3.0, case.exponent))
+        loads.append(LoadChange(begins_s, 1.0 / FULL, (case.stop_s or 3.0 * TAKES_S) / 3.0, of_change))
     if case.softens:
         soil = Soil(FIELD.grip, FIELD.rolling, changes=(SoilChange(at_s=AT_S, over=TAKES_S, **SOFTER),))
     seconds = SECONDS + case.stop_s
     stops = ((AT_S, 4.0), (case.stop_s, 0.0), (seconds, 4.0)) if case.stop_s else 4.0
     return Scenario(
-        seconds=seconds, speed=stops, steering=WHEELS, soil=soil, ground=UNEVEN, loads=tuple(loads),
-        other_traffic=False
+        seconds=seconds, plant=plant, speed=stops, steering=WHEELS, soil=soil, loads=tuple(loads),
+        ground=UNEVEN if plant == "planar" else Ground(rms=0.01), other_traffic=False,
+        spatial=Spatial(load_exponent=_exponent(case, plant)),
     )  # fmt: skip
+
+
+def _exponent(case: Case, plant: Plant) -> float | None:
+    """Of the plant in space, whose tyres follow their loads all the time."""
+    return case.exponent if plant == "spatial" else None
 
 
 def words(case: Case, empty: float) -> Iterator[tuple[float, Carried]]:
@@ -185,11 +197,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--row", choices=ROWS, action="append")
     parser.add_argument("--fleet", action="store_true")
+    parser.add_argument("--plant", choices=get_args(Plant), default="planar")
     args = parser.parse_args()
     make = of_fleet if args.fleet else packaged
     for seed in range(args.first, args.first + args.count):
         for name in args.row or ROWS:
-            rig = make(ROWS[name], seed)
+            rig = make(ROWS[name], seed, args.plant)
             if rig is not None:
                 print(f"{name:7} {seed:3}  {driven(ROWS[name], seed, rig)}", flush=True)
 

@@ -1,13 +1,15 @@
 """Another implement is hitched on than the machine file has, or one that nobody has described.
 
     python bench/other_implement.py lengths [--plant planar] [--count 5] [--first 601] [--estimates]
+                                            [--varied]
     python bench/other_implement.py wrong [--plant planar] [--count 5] [--first 601] [--moving]
 
 Rigs are of the fleet. Each stands for 12 s, not with --moving, then drives rows of 60 m at its speed with
 headland turns at 2.5 m/s, on ground of 1 cm and a slope of 1 degree. `lengths`: the file has the tractor as
 its owner knows it and the implement of schemas/undescribed.py. A line says by how much hitch to receivers
 and hitch to axle are off, with one sd, 1, 2 and 5 minutes after it moves off, and when they are used;
---estimates lets estimators run, and says by how many sds what is recommended at the end is off. `wrong`:
+--estimates lets estimators run, and says by how many sds what is recommended at the end is off; --varied
+drives 10 minutes, every other one at 1.3 m/s, and says what is known after them too. `wrong`:
 the file has the implement of another rig with the same receivers (`other`), or one that differs in one
 number. A line says after how many seconds there is an event, and what it says.
 """
@@ -36,19 +38,21 @@ from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import traffic
 
 Raw = dict[str, Any]
-PARKED_S, SECONDS, WRONG_S, SLOW = 12.0, 325.0, 132.0, 2.5
+PARKED_S, SECONDS, WRONG_S, SLOW, CREEPING = 12.0, 325.0, 132.0, 2.5, 1.3
 MINUTES: Final = (1, 2, 5)
+VARIED_S, LAST = 625.0, 10
 ANOTHER: Final = 50  # numbers further, the rig whose implement is in the file
 
 
 def driven(
-    rig: FleetRig, plant: str, seconds: float, parked_s: float = PARKED_S
+    rig: FleetRig, plant: str, seconds: float, parked_s: float = PARKED_S, varied: bool = False
 ) -> tuple[Truth, Iterator[Frame]]:
     """Raises CannotBeDriven."""
+    going = [(seconds - parked_s, rig.speed)] if not varied else [(60.0, rig.speed), (60.0, CREEPING)] * 5
     steering = Fieldwork(length=60.0, turns=headlands_of(rig), turn_speed=min(SLOW, rig.speed))
     base = Scenario(
         seconds=seconds, seed=rig.seed, plant=plant,  # type: ignore[arg-type]
-        speed=((parked_s, 0.0), (seconds - parked_s, rig.speed)) if parked_s else rig.speed,
+        speed=((parked_s, 0.0), *going) if parked_s else rig.speed,
         steering=steering,
         ground=ground_of(plant, 0.01, 1.0, 40.0), other_traffic=False,
     )  # fmt: skip
@@ -79,11 +83,12 @@ def undescribed(rig: FleetRig) -> Machine:
     return with_implement(tomllib.loads(owners_text(rig)), GENERIC, TYRES, receivers)
 
 
-def lengths_of(rig: FleetRig, plant: str, estimates: bool) -> str:
-    machine, (truth, frames) = undescribed(rig), driven(rig, plant, SECONDS)
+def lengths_of(rig: FleetRig, plant: str, estimates: bool, varied: bool) -> str:
+    seconds, later = (VARIED_S, (LAST,)) if varied else (SECONDS, ())
+    machine, (truth, frames) = undescribed(rig), driven(rig, plant, seconds, varied=varied)
     state = fold.initial(machine)
     state.ready = estimates
-    marks, said, begun, start_ns = list(MINUTES), list[str](), "", 0
+    marks, said, begun, start_ns = [*MINUTES, *later], list[str](), "", 0
     for frame in frames:
         start_ns = start_ns or frame.t_ns
         moved_s = (frame.t_ns - start_ns) * 1e-9 - PARKED_S
@@ -177,6 +182,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=5)
     parser.add_argument("--first", type=int, default=601)
     parser.add_argument("--estimates", action="store_true")
+    parser.add_argument("--varied", action="store_true")
     parser.add_argument("--moving", action="store_true")
     args = parser.parse_args()
     parked_s = 0.0 if args.moving else PARKED_S
@@ -187,7 +193,8 @@ def main() -> None:
         rig = drawn(seed)
         try:
             if args.what == "lengths":
-                print(f"{seed} {args.plant}: {lengths_of(rig, args.plant, args.estimates)}", flush=True)
+                told = lengths_of(rig, args.plant, args.estimates, args.varied)
+                print(f"{seed} {args.plant}: {told}", flush=True)
             else:
                 for name, make in WRONG.items():
                     print(

@@ -525,7 +525,7 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         return out
     ties.begin(t_ns)
     method_state = state.estimators[method]
-    foreseen, learners = False, []
+    foreseen, learners, known = False, [], state.estimators[place.METHOD].windows
     if made is not None and method_state.job is not None:
         learners = [other for other in rows_for(state.machine) if other.learn is not None]
         for other in learners:
@@ -535,7 +535,10 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         if of_file is not None:
             diagnosis.fit_tells(state.diagnosis, method, *of_file)
     learns = isinstance(made, pem.Fit) and made.refused is None and method_state.job is not None
+    job = method_state.job
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
+    if job is not None and implement_load.fitted_after_stop(state, method, job.closed_ns, known):
+        estimate = row.estimate(method_state, state.machine, t_ns)
     if learns:
         diagnosis.windows_tell(state.diagnosis, open_tracker.of_windows(state.machine, method_state))
     machine, by_load = state.machine, any(kind == EventKind.LOAD for kind, _ in method_state.events)
@@ -572,6 +575,7 @@ def _clock_stepped(state: State, t_ns: int, by_ns: int, out: list[Publication]) 
     state.place = None
     state.previous_run_ns += by_ns
     state.drove_ns += by_ns if state.drove_ns else 0
+    state.stood_ns += by_ns if state.stood_ns else 0
     for row in rows_for(state.machine):
         row.clock_stepped(state.estimators[row.method], by_ns)
     if state.time.misled:  # which is reported as what it is

@@ -5,13 +5,14 @@ logarithm of the mass walks while the rig drives, and is open after each stop; C
 the mass, C_ai over it as well as driving tells it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from tilth.estimator.diagnosis.widening import OfLoad, widened
-from tilth.estimator.methods import pem
-from tilth.estimator.methods.carrying import open_up, take_load
+from tilth.estimator.filters.soil_field import SoilWindow
+from tilth.estimator.methods import carrying, pem, place
 from tilth.estimator.methods.estimators import rows_for
 from tilth.estimator.methods.place import PlaceState
 from tilth.estimator.models.load import LOAD, aged, another_variance, laden, of_nobody, of_scale, walked
@@ -32,7 +33,7 @@ def use(state: State, carried: Carried) -> None:
     for row in rows_for(state.machine):
         method_state = state.estimators[row.method]
         if isinstance(method_state, (SixState, PlaceState)):
-            take_load(method_state, before, state.machine)
+            carrying.take_load(method_state, before, state.machine)
             row.clock_stepped(method_state, 0)  # what is not fitted yet is of the load before
         else:
             state.estimators[row.method] = row.initial(state.machine)
@@ -78,7 +79,7 @@ def walk(state: State, t_ns: int, pose: Pose) -> None:
     ):
         return
     if stood:
-        _after_stop(state, state.carried)
+        _after_stop(state, state.carried, t_ns)
     passed_ns = t_ns - state.walked_ns
     if 0 <= passed_ns < LOAD.step_ns:
         return
@@ -95,14 +96,23 @@ def _has_stood(state: State, carried: Carried, pose: Pose) -> bool:
     return before > 0 and pose.t_ns - before >= LOAD.stop_ns and carried.t_ns <= before
 
 
-def _after_stop(state: State, carried: Carried) -> None:
-    """The load may be any other. A fit of before the stop that is adopted later would not know of that."""
-    state.carried = _before_a_stop(state.empty, carried)
+def _after_stop(state: State, carried: Carried, t_ns: int) -> None:
+    """The load may be any other: nothing is collected across a stop."""
+    state.carried, state.stood_ns = _before_a_stop(state.empty, carried), t_ns
     for row in rows_for(state.machine):
-        method_state = state.estimators[row.method]
-        if row.fitting is not None and method_state.job is not None:
-            row.clock_stepped(method_state, 0)
+        row.stood(state.estimators[row.method])
     _be_open(state)
+
+
+def fitted_after_stop(state: State, method: str, closed_ns: int, windows: Sequence[SoilWindow]) -> bool:
+    """A fit was adopted of driving that ended at closed_ns: if that was before the last stop, it knows
+    nothing of it, and what it told is opened up. windows: of the memory by place, before the fit. Returns
+    whether anything was."""
+    learned = [state.estimators[name] for name in (method, place.METHOD)]
+    learned = [one for one in learned if one.informed_ns == closed_ns <= state.stood_ns]
+    for method_state in learned:
+        carrying.open_up(method_state, state.machine, another_variance(state.empty), windows)
+    return bool(learned)
 
 
 def _be_open(state: State) -> None:
@@ -115,7 +125,7 @@ def _be_open(state: State) -> None:
 
 def _open_up(state: State, variance: float) -> None:
     for method_state in state.estimators.values():
-        open_up(method_state, state.machine, variance)
+        carrying.open_up(method_state, state.machine, variance)
 
 
 def changed(state: State, t_ns: int) -> None:

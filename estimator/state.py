@@ -55,6 +55,7 @@ class State:
     scale: ScaleWord | None = None
     walked_ns: int = 0  # until when it is counted in that a load may have changed that nobody weighs
     drove_ns: int = 0  # when the rig was last seen to drive; 0: not in this run
+    stood_ns: int = 0  # when it drove off after the last stop in which its load may have changed; 0: no such
     previous_run: dict[str, SavedPosterior] = field(default_factory=dict)
     """Method -> what the run before had learned, from which this run has started."""
     previous_run_ns: int = 0  # when that run had saved them

@@ -143,8 +143,8 @@ class SoilField:
             rig = rig._replace(m_i=rig.m_i * factor, I_i=rig.I_i * factor)
         return rig
 
-    def _by_load(self, t: Array | float) -> Array:
-        """Of the logarithms of PARAMETERS, shape (..., 6)."""
+    def by_load(self, t: Array | float) -> Array:
+        """Added to the logarithms of PARAMETERS by what the implement carries, shape (..., 6)."""
         log, before = np.zeros((*np.shape(t), len(PARAMETERS))), self.rig
         for change in self.loads:
             after = before._replace(m_i=before.m_i * change.mass)
@@ -156,7 +156,7 @@ class SoilField:
     def at(self, t: Array | float, states: Array) -> Array:
         """Parameters under the axles, shape (..., 6). t: s, shape (...); states: (..., 13)."""
         axles = axles_of(self.rig, states)
-        log = np.zeros((*axles.shape[:-2], len(PARAMETERS))) + self._by_load(t)
+        log = np.zeros((*axles.shape[:-2], len(PARAMETERS))) + self.by_load(t)
         for change in self.changes:
             factors = np.log([getattr(change, name) for name in PARAMETERS])
             log += share(change, t, axles)[..., AXLE_OF] * factors

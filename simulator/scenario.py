@@ -252,7 +252,7 @@ class LoadChange:
     at_s: NotNegative
     mass: Factor  # on the implement's mass and yaw inertia
     over: NotNegative = 0.0  # s that it takes; 0: at once
-    exponent: Annotated[float, Field(ge=0, le=1.2)] = 0.8  # of a stiffness, over its load
+    exponent: Annotated[float, Field(ge=0, le=1.2)] = 0.8  # of a stiffness, over its load; planar plant
 
 
 # What a machine file does not say of the rig, for either plant.
@@ -393,7 +393,7 @@ class Scenario:
     )  # of tractor and implement, right side down
     ground: Ground = Ground()
     soil: Soil = Soil()
-    loads: tuple[LoadChange, ...] = ()  # of the planar plant
+    loads: tuple[LoadChange, ...] = ()
     spatial: Spatial = Spatial()
     planar: Mapping[PlanarKey, NotNegative] | None = None  # of the rig, instead of what is usual
     survey: SurveyErrors = SurveyErrors()
@@ -432,8 +432,9 @@ class Scenario:
             say = 'is of the spatial plant; add plant = "spatial"'
         else:
             given += ["roll_deg"] if self.roll_deg != (0.0, 0.0) else []
-            given += ["loads"] if self.loads else []
             say = "is of the planar plant; give ground.rms or ground.bumps for uneven ground"
+            if any(change.exponent != LoadChange(0.0, 1.0).exponent for change in self.loads):
+                raise ValueError("loads.exponent is of the planar plant; give spatial.load_exponent")
             if self.planar:
                 raise ValueError("planar is of the planar plant; give spatial")
         if given:

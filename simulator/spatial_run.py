@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +33,22 @@ def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], 
     ground = height_field(scenario.ground, vehicle.rms, generator(setting.seed, noise.GROUND))
     step = STEP_S / math.ceil(STEP_S / scenario.spatial.step - 1e-9)
     check_inertia(vehicle)
-    check_tyres(vehicle, step)
+    # Tyres follow their loads here by themselves; what they come to is for the truth.
+    loads = tuple(replace(change, exponent=vehicle.load_exponent) for change in setting.soil.loads)
+    by_load, soil = replace(setting.soil, loads=loads), replace(setting.soil, loads=())
+
+    def carried(t: float) -> float:
+        return by_load.rig_at(t).m_i / setting.rig.m_i
+
+    for factor in {1.0, *(carried(change.at_s + change.over) for change in loads)}:
+        masses = vehicle.masses._replace(m_i=factor * vehicle.masses.m_i, I_i=factor * vehicle.masses.I_i)
+        check_tyres(vehicle._replace(masses=masses), step)
     start = driver.start()
-    plant = settled_plant(vehicle, ground, step, float(start[2]), setting.soil.theta)
+    plant = settled_plant(vehicle, ground, step, float(start[2]), soil.theta, carried(0.0))
     act = driver.actuator
     valve = None if act is None else (act.gain / act.inertia, act.damping / act.inertia)
-    motion = run(plant, start, driver, valve, setting.soil.at, len(setting.time), HOLD, progress)
+    motion = run(plant, start, driver, valve, soil.at, len(setting.time), HOLD, progress, carried)
+    under_axles = motion.soil * np.exp(by_load.by_load(setting.time))
     front, rear, implement = vehicle.track
     rig = setting.rig._replace(
         w_f=front,
@@ -51,7 +62,7 @@ def drive_spatial(setting: Setting, driver: Driver, progress: Callable[[float], 
     tractor, cart = (_track(motion.bodies[:, k]) for k in range(2))
     return Truth(
         setting.seed, scenario, setting.parameters, rig.geometry, setting.nuisances, setting.time,
-        motion.states[:, -2], tractor, cart, rig, motion.soil, motion.states, Space(vehicle, motion),
+        motion.states[:, -2], tractor, cart, rig, under_axles, motion.states, Space(vehicle, motion),
     )  # fmt: skip
 
 

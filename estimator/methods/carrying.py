@@ -4,6 +4,7 @@ Stiffnesses are learned over masses that are taken as known. With another load t
 follow their load, and what was learned moves with them, as uncertain as the exponent is.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
+from tilth.estimator.filters.soil_field import SoilWindow
 from tilth.estimator.filters.unknowns import AT, SIX
 from tilth.estimator.methods.pem import of_masses, with_known_masses
 from tilth.estimator.methods.place import PlaceState
@@ -47,20 +49,24 @@ def take_load(state: Any, before: Machine, after: Machine) -> None:
     _widen(state, added, OF_LADEN if loads[2] > LOAD.small_change else [])
 
 
-def open_up(state: Any, machine: Machine, variance: float) -> None:
-    """The logarithm of the implement's mass may have moved, by that variance, and nobody has said it."""
+def open_up(state: Any, machine: Machine, variance: float, but: Collection[SoilWindow] = ()) -> None:
+    """The logarithm of the implement's mass may have moved, by that variance, and nobody has said it. but: of
+    the memory by place, windows for which that is not new."""
     if isinstance(state, SixState):
         _widen(state, moved_by(machine, variance), [])
     elif isinstance(state, PlaceState):
-        _less_sure(state, moved_by(machine, variance))
+        _less_sure(state, moved_by(machine, variance), but)
 
 
-def _less_sure(state: PlaceState, added: Array) -> None:
-    """Add a covariance, (6, 6), to what windows have told."""
+def _less_sure(state: PlaceState, added: Array, but: Collection[SoilWindow] = ()) -> None:
+    """Add a covariance, (6, 6), to what windows have told, but for some."""
     if not state.windows or not added.any():
         return
-    windows = []
+    windows, kept_as_they_are = [], set(map(id, but))
     for window in state.windows:
+        if id(window) in kept_as_they_are:
+            windows.append(window)
+            continue
         told = window.told
         kept = np.linalg.inv(np.eye(6) + told.information @ added)
         information = kept @ told.information
@@ -73,7 +79,7 @@ def _widen(state: SixState, added: Array, forgotten: list[int]) -> None:
     """Add a covariance to the six, none beyond the prior's variance; and forget what was learned of
     others."""
     covariances = [state.covariance]
-    if isinstance(state, RowsState):
+    if isinstance(state, RowsState) and not state.block.ended:  # else what it is fitted from is of before
         covariances.append(state.before_covariance)
     masses = of_masses(np.diag(state.prior_sd**2))
     for covariance in covariances:

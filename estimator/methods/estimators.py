@@ -57,6 +57,9 @@ class Estimator:
     clock_stepped: Callable[
         [Any, int], None
     ]  # the log's clock ran on by so many ns, below zero; keep what was learned
+    stood: Callable[[Any], None] = lambda state: None
+    """(state): the rig has stood for so long that its load may be another. What is collected ends; what of it
+    is enough for a fit is fitted, with the rig as it was."""
     fitting: Fitting | None = None
     memory: Memory | None = None
     enabled: Callable[[Machine], bool] = lambda machine: True  # whether it runs with this machine file
@@ -75,6 +78,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         steady_state.take,
         steady_state.estimate,
         steady_state.clock_stepped,
+        steady_state.stood,
         memory=Memory(
             steady_state.STATES, ("slow_t", "slow_i"), learned.of_steady_state, learned.into_steady_state
         ),
@@ -88,6 +92,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         tracker.take,
         tracker.estimate,
         tracker.clock_stepped,
+        tracker.stood,
         memory=Memory(unknowns.NAMES, unknowns.NOISES, learned.of_tracker, learned.into_tracker),
         prepare=tracker.prepare,
         kernels=tracker.KERNELS,
@@ -100,6 +105,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         pem.take,
         pem.estimate,
         pem.clock_stepped,
+        pem.stood,
         fitting=Fitting(
             pem.PEM.latency_ns,
             pem.request_fit,
@@ -118,6 +124,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         rows.take,
         rows.estimate,
         rows.clock_stepped,
+        rows.stood,
         fitting=Fitting(
             rows.TUNING.latency_ns,
             rows.request_fit,
@@ -147,6 +154,7 @@ ESTIMATORS: tuple[Estimator, ...] = (
         two_step.take,
         two_step.estimate,
         two_step.clock_stepped,
+        two_step.finish,
         fitting=Fitting(
             two_step.TWO_STEP.latency_ns,
             two_step.request_fit,

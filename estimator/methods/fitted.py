@@ -80,6 +80,7 @@ class FittedState(SixState):
     sound_ns: int = 0  # until when data have been sound, without a silence of STALE_S since the last fit
     fits: int = 0
     late: int = 0
+    stops: int = 0  # after which the load may be another, so that what was collected ended
 
 
 def drive_on(state: FittedState, pose: Pose, segment: Segment | None) -> float:
@@ -116,7 +117,8 @@ def excitation(
 ) -> dict[str, float]:
     """As of an estimate. own: what a method tells besides."""
     told = {
-        "fits": float(state.fits), "late": float(state.late), "soil_changes": float(state.changes), **own,
+        "fits": float(state.fits), "late": float(state.late), "soil_changes": float(state.changes),
+        "stops": float(state.stops), **own,
         "cost": last.cost if last else 0.0, "iterations": float(iterations),
     }  # fmt: skip
     return told | ({"late_s": state.late_ns * 1e-9} if state.late_ns else {})

@@ -125,9 +125,9 @@ def initial(machine: Machine) -> PemState:
 def take(state: PemState, machine: Machine, pose: Pose, segment: Segment | None) -> Estimate | None:
     """Take one segment; an estimate each REPORTING.publish_ns."""
     fitted.drive_on(state, pose, segment)
-    zero = _wheel_zero(state)
+    zero, before = _wheel_zero(state), state.closed
     due = collect(state, pose.t_ns, segment, REPORTING.publish_ns, PEM.least_steering, zero, state.soon)
-    state.soon &= state.closed is None
+    state.soon &= state.closed is before
     if not due:
         return None
     if state.fits:
@@ -144,6 +144,12 @@ def _advise(state: PemState, machine: Machine, speed: float, t_ns: int) -> None:
 def finish(state: PemState) -> None:
     """No more driving follows: close the present window, as a gap would."""
     close_window(state, PEM.least_steering, _wheel_zero(state))
+
+
+def stood(state: PemState) -> None:
+    """As of estimators.Estimator: the present window ends."""
+    state.stops += 1
+    finish(state)
 
 
 def _wheel_zero(state: PemState) -> float:

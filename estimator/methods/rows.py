@@ -2,7 +2,8 @@
 
 Rows are collected into blocks of up to ten minutes (record/straight_rows.py). A block is fitted after two
 minutes, after five and when it is full, always as a whole from the posterior of the block before, drifted
-over the distance since (filters/row_fit.py). A second informs once. The fit is computed elsewhere (`fit`, a
+over the distance since (filters/row_fit.py). A second informs once. A stop in which the load may have changed
+ends a block: then it is fitted as it is. The fit is computed elsewhere (`fit`, a
 pure function) and adopted as one of pem is.
 
 Steering that only answers the ground tells nothing reliable: as long as its own share of the wheel angle is
@@ -93,7 +94,7 @@ class Fit:
     tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
     told: Told | None = None  # what the block alone tells of the six
-    of_file: Misfit | None = None  # what all rows so far tell of the machine file
+    of_file: Misfit | None = None  # what all rows so far tell of the machine file; not with a short block
 
 
 @dataclass(slots=True)
@@ -106,6 +107,7 @@ class RowsState(FittedState):
     before_m: float = 0.0  # distance since the block before
     before_s: float = 0.0  # window_s before the present block
     block: Block = field(default_factory=Block)
+    ended_ns: int = 0  # when the rig had stood: a block of before has ended
     job: Job | None = None  # requested, not adopted yet
     last: Fit | None = None
 
@@ -134,6 +136,19 @@ def take(state: RowsState, machine: Machine, pose: Pose, segment: Segment | None
     refused = state.last.refused if state.last else None
     state.reason = state.block.reason or refused
     return estimate(state, machine, pose.t_ns) if is_due(state, pose.t_ns, REPORTING.publish_ns) else None
+
+
+def stood(state: RowsState) -> None:
+    """As of estimators.Estimator: the present block ends. What a fit that is late by now did not have is
+    lost."""
+    state.stops, state.ended_ns = state.stops + 1, state.last_pose_ns
+    if state.job is not None:
+        straight_rows.end_row(state.block)
+        straight_rows.forget(state.block)
+        return
+    straight_rows.end(state.block)
+    if not state.block.ended:
+        _begin_block(state)
 
 
 def finish(state: RowsState) -> None:
@@ -173,7 +188,9 @@ def fit(machine: Machine, job: Job) -> Fit:
     tie = fitted.is_tie((chi_square, TUNING.change_chi_square), *shares)
     refused = Code.LITTLE_OWN_STEERING if little else pem.refusal(found, prior_mean, prior_sd)
     alone = None if refused else _told(start, known, found, (prior_mean, prior_sd))
-    of_file = None if refused else open_tracker.of_fit(machine, found.mean, found.covariance, prior(machine))
+    of_file = None
+    if not refused and straight_rows.is_long(job.rows):
+        of_file = open_tracker.of_fit(machine, found.mean, found.covariance, prior(machine))
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
         tie, refused, alone, of_file,
@@ -220,7 +237,8 @@ def adopt(state: RowsState, machine: Machine, made: Fit | None, t_ns: int) -> Es
     used, state.last = fitted.is_used(state, made), made or state.last
     if job is not None and made is not None and used:
         _use(state, job, made)
-    if job is not None and job.full:  # also where its last fit failed: an earlier one of it counts
+    ended = job is not None and (job.full or job.closed_ns <= state.ended_ns)
+    if ended:  # also where its last fit failed: an earlier one of it counts
         _begin_block(state)
     return estimate(state, machine, t_ns)
 
@@ -243,7 +261,7 @@ def clock_stepped(state: RowsState, by_ns: int) -> None:
     """The log's clock stepped back: discard the block and the pending fit, keep the posterior and its age."""
     straight_rows.forget(state.block)
     _begin_block(state)
-    state.job = None
+    state.job, state.ended_ns = None, 0
     fitted.clock_stepped(state, by_ns)
 
 

@@ -180,9 +180,14 @@ def take(state: SteadyState, machine: Machine, pose: Pose, segment: Segment | No
     return estimate(state, machine, pose.t_ns)
 
 
+def stood(state: SteadyState) -> None:
+    """As of estimators.Estimator: the present block ends."""
+    state.steadiness, state.previous = Steadiness(), None
+
+
 def clock_stepped(state: SteadyState, by_ns: int) -> None:
     """The log's clock stepped back: discard the present block, keep the posterior and its age."""
-    state.steadiness, state.previous = Steadiness(), None
+    stood(state)
     step_clock(state, by_ns)
     state.last_pose_ns = 0
 

@@ -468,10 +468,15 @@ def _forget_soil(state: TrackerState, logs: Array, told: bool) -> None:
         state.events.append((EventKind.SOIL_CHANGE, notice(NoticeCode.SOIL_CHANGING)))
 
 
-def clock_stepped(state: TrackerState, by_ns: int) -> None:
-    """The log's clock stepped back: discard the motion state, keep the posterior and its age."""
+def stood(state: TrackerState) -> None:
+    """As of estimators.Estimator: the segment that waits and the motion state are of before."""
     state.pending, state.running = None, False
     state.ticks_before = np.zeros((0, 8))
+
+
+def clock_stepped(state: TrackerState, by_ns: int) -> None:
+    """The log's clock stepped back: discard the motion state, keep the posterior and its age."""
+    stood(state)
     step_clock(state, by_ns)
     state.last_pose_ns = 0
     state.changed_ns += by_ns if state.changed_ns else 0

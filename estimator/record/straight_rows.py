@@ -48,6 +48,7 @@ class Block:
     wheel: float = 0.0  # rad, mean reading of the wheel angle in it
     complete: list[Record] = field(default_factory=list)
     fitted_s: float = 0.0  # so much of it has been fitted
+    ended: bool = False  # it is fitted as it is now, for the last time
     refused: dict[Code, int] = field(default_factory=dict)  # reason -> segments
     reason: Code | None = None  # why nothing is collected now
 
@@ -95,7 +96,12 @@ def end_row(block: Block) -> None:
 def is_due(block: Block) -> bool:
     """Whether a fit of it is due."""
     now = seconds(block)
-    return any(block.fitted_s < limit <= now for limit in ROWS.fitted_at_s)
+    return block.ended or any(block.fitted_s < limit <= now for limit in ROWS.fitted_at_s)
+
+
+def is_long(records: list[Record]) -> bool:
+    """Whether these rows are enough for a fit where no stop ends them: with less any machine file agrees."""
+    return sum(len(record.ticks) for record in records) * TICK_NS >= ROWS.fitted_at_s[0] * 1e9
 
 
 def rows_to_fit(block: Block) -> tuple[list[Record], bool]:
@@ -104,15 +110,24 @@ def rows_to_fit(block: Block) -> tuple[list[Record], bool]:
     if len(block.row) >= SHORTEST:
         records.append(concatenate(block.row))
     block.fitted_s = seconds(block)
-    full = block.fitted_s >= ROWS.fitted_at_s[-1]
+    full = block.ended or block.fitted_s >= ROWS.fitted_at_s[-1]
     if full:
         forget(block)
     return records, full
 
 
+def end(block: Block) -> None:
+    """What follows is of another block. With a row more than its last fit had, it is fitted for the last
+    time; else it is begun anew."""
+    end_row(block)
+    block.ended = seconds(block) - block.fitted_s >= ROWS.shortest_s
+    if not block.ended:
+        forget(block)
+
+
 def forget(block: Block) -> None:
     """Begin a block anew."""
-    block.row, block.complete, block.fitted_s = [], [], 0.0
+    block.row, block.complete, block.fitted_s, block.ended = [], [], 0.0, False
 
 
 def _count(block: Block, reason: Code) -> None:

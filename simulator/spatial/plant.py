@@ -82,6 +82,7 @@ class SpatialPlant:
     drive: Array = field(default_factory=lambda: np.zeros(2))  # N; m, what the governor has added up
     soil: Array = field(default_factory=lambda: np.zeros(6))
     turns: list[float] = field(default_factory=lambda: [0.0, 0.0])  # headings of the last look, not wrapped
+    _carried: float = 1.0
     _engine: tuple[Array, ...] = field(init=False)  # views of the engine's places and velocities
     _forces: Array = field(init=False)
 
@@ -93,6 +94,15 @@ class SpatialPlant:
         data = self.data
         self._engine = (data.xpos, data.xmat, data.xipos, data.cvel, data.subtree_com)
         self._forces = data.xfrc_applied
+
+    def carry(self, factor: float) -> None:
+        """The implement has so many times its mass and inertia; its CG stays."""
+        if factor == self._carried:
+            return
+        for of_bodies in (self.model.body_mass, self.model.body_inertia):
+            of_bodies[IMPLEMENT] *= factor / self._carried
+        self._carried = factor
+        mujoco().mj_setConst(self.model, mujoco().MjData(self.model))
 
     def kinematics(self) -> None:
         """Places and velocities of all bodies at this instant: the first half of a step."""
@@ -146,13 +156,15 @@ def body_motion(place: Array, turn: Array, twist: Array, root: Array, before: fl
 
 
 def settled_plant(
-    vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array
+    vehicle: Vehicle, ground: HeightField, step: float, heading: float, soil: Array, carried: float = 1.0
 ) -> SpatialPlant:
-    """A plant that stands settled at the origin, both bodies heading there. soil: shape (6,).
+    """A plant that stands settled at the origin, both bodies heading there. soil: shape (6,). carried: as of
+    SpatialPlant.carry.
 
     Raises CannotBeDriven.
     """
     plant = SpatialPlant(vehicle, ground, step)
+    plant.carry(carried)
     plant.soil = np.ascontiguousarray(soil, np.float64)
     up, north, east = height(ground, 0.0, 0.0)
     plane_north, plane_east = (north, east) if not len(ground.rough) else map(float, ground.plane)
@@ -237,12 +249,13 @@ def run(
     n: int,
     hold: int,
     progress: Callable[[float], None] | None = None,
+    carried: Callable[[float], float] = lambda t: 1.0,
 ) -> Motion:
     """Drive for n samples; `steering` gives commands for every `hold` of them.
 
     start: first state, shape (13,), of which speed and wheel angle are taken. valve: wheel's angular
     acceleration per command, 1/s^2, and its damping, 1/s; None: the wheels are turned directly. soil: of time
-    and state, shape (6,). Raises CannotBeDriven.
+    and state, shape (6,). carried: of time, as of SpatialPlant.carry. Raises CannotBeDriven.
     """
     substeps = round(STEP_S / plant.step)
     into = Motion(
@@ -261,6 +274,7 @@ def run(
         shape = (min(end, n - 1) - k + 1,)
         commands, speeds = (np.broadcast_to(np.asarray(one, np.float64), shape).tolist() for one in pair)
         plant.soil = np.ascontiguousarray(soil(k * STEP_S, x), np.float64)
+        plant.carry(carried(k * STEP_S))
         for j in range(k, end):
             now, after = j - k, min(j - k + 1, len(commands) - 1)
             if valve is None:

@@ -1,6 +1,7 @@
 """What the implement carries: said by the operator or a scale, or by nobody; replayed, stored, resumed."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,10 +11,20 @@ from posed import pose_of
 
 from tilth.estimator import fold, implement_load
 from tilth.estimator.filters import soil_change
-from tilth.estimator.methods.estimators import ROW
-from tilth.estimator.models.load import by_another_load, laden
+from tilth.estimator.methods import pem, rows
+from tilth.estimator.methods.estimators import ROW, Estimator, rows_for
+from tilth.estimator.methods.pem import PemState
+from tilth.estimator.methods.rows import RowsState
+from tilth.estimator.methods.steady_state import SteadyState
+from tilth.estimator.methods.tracker import TrackerState
+from tilth.estimator.models.load import another_variance, by_another_load, laden, moved_by
+from tilth.estimator.record import straight_rows
+from tilth.estimator.record.record import Record, Segment
+from tilth.estimator.record.windows import WINDOWS
+from tilth.estimator.results.method_state import SixState
 from tilth.estimator.snapshot import restore, snapshot
 from tilth.estimator.state import ScaleWord, State
+from tilth.estimator.state_json import to_json_data
 from tilth.estimator.warm_start import SavedPosterior
 from tilth.schemas.can_id import join
 from tilth.schemas.carried import said_of_load
@@ -156,6 +167,16 @@ def test_a_run_that_comes_back_later_knows_less() -> None:
     assert implement_load.later(MACHINE, FULL, 1.0, 1) is None
 
 
+NOTHING = np.zeros((0, 0))
+
+
+def turned(t_ns: int) -> Segment:
+    """A segment of driving with turned wheels."""
+    ticks = np.zeros((10, 8))
+    ticks[:, 0], ticks[:, 1] = np.linspace(0.1, 0.3, 10), 4.0
+    return Segment(Record(t_ns, ticks, np.zeros((0, 6))), True, None)
+
+
 def driven(state: State, begin_s: int, seconds: int, u: float) -> list[float]:
     """At that speed for so long. Sds of the tracker's logarithms of C_af, C_ar and C_ai."""
     for t_s in range(begin_s, begin_s + seconds):
@@ -188,6 +209,71 @@ def test_a_stop_may_have_changed_the_load(seconds: int, word: LoadSource | None,
     assert after[:2] == before[:2] and after[2] == pytest.approx(sd, abs=0.01)
     assert state.estimators["pem"].soon == (sd > 0.2)  # the first turn is to show it
     assert restore(CART, snapshot(state)).drove_ns == (11 + seconds) * S
+
+
+@pytest.mark.parametrize("pending", [False, True])
+@pytest.mark.parametrize("seconds", [8, 60])
+@pytest.mark.parametrize("row", rows_for(CART), ids=lambda row: row.method)
+def test_nothing_is_collected_across_a_stop(row: Estimator, seconds: int, pending: bool) -> None:
+    """Whether or not a fit is pending, which stays so. What was learned of all but the implement stays."""
+    state = fold.initial(CART)
+    driven(state, 1, 10, 4.0)
+    method_state = state.estimators[row.method]
+    if isinstance(method_state, PemState):
+        method_state.window = [turned(10 * S + k * S // 5) for k in range(WINDOWS.shortest)]
+        method_state.job = pem.Job(S, S, turned(0).record, method_state.mean, NOTHING) if pending else None
+    elif isinstance(method_state, RowsState):
+        method_state.block.row = [turned(10 * S + k * S // 5) for k in range(straight_rows.SHORTEST)]
+        made = [turned(0).record]
+        method_state.job = rows.Job(S, S, made, False, method_state.mean, NOTHING) if pending else None
+    elif isinstance(method_state, TrackerState):
+        method_state.pending, method_state.running = turned(10 * S).record, True
+    elif isinstance(method_state, SteadyState):
+        method_state.steadiness.unaveraged = 3
+    before = to_json_data(method_state)
+    driven(state, 11, seconds, 0.0)
+    driven(state, 11 + seconds, 1, 4.0)
+    stood = seconds > 20
+    assert (state.stood_ns > 0) == stood
+    assert to_json_data(method_state).get("job") == before.get("job")
+    if isinstance(method_state, PemState):
+        assert (not method_state.window and method_state.closed is not None) == stood
+    elif isinstance(method_state, RowsState):
+        assert (not method_state.block.row) == stood
+        assert bool(method_state.block.complete) == method_state.block.ended == (stood and not pending)
+    elif isinstance(method_state, TrackerState):
+        assert (method_state.pending is None and not method_state.running) == stood
+    elif isinstance(method_state, SteadyState):
+        assert (method_state.steadiness.unaveraged == 0) == stood
+    if isinstance(method_state, SixState):
+        assert to_json_data(method_state)["mean"] == before["mean"]
+
+
+@pytest.mark.parametrize("method", ["pem", "rows"])
+def test_a_fit_of_before_a_stop_is_used_and_knows_nothing_of_the_load_after_it(method: str) -> None:
+    """By what is known after a fit that is late, and after the same of driving since the stop."""
+    known_after = []
+    for closed_s in (5, 75):
+        state = fold.initial(CART)
+        driven(state, 1, 10, 4.0)
+        driven(state, 11, 60, 0.0)
+        driven(state, 71, 1, 4.0)
+        learns, record = state.estimators[method], turned(0).record
+        mean, prior = learns.mean + 0.1, learns.covariance.copy()
+        found = pem.with_known_masses(prior) / 2.0 + pem.of_masses(prior)
+        if method == "pem":
+            learns.job = pem.Job(S, closed_s * S, record, learns.mean.copy(), prior)
+            made: Any = pem.Fit(mean, found, None, 0.0, 1.0, -6.0, 3, 9, False, False, None)
+        else:
+            learns.job = rows.Job(S, closed_s * S, [record], True, learns.mean.copy(), prior)
+            made = rows.Fit(mean, found, 0.9, 0.01, 60.0, 5, -6.0, False, False, None)
+        fold.adopt(state, 80 * S, method, made)
+        assert learns.fits == 1 and np.array_equal(learns.mean, mean)
+        known_after.append(learns.covariance.copy())
+    late, timely = known_after
+    opened = np.zeros_like(late)
+    opened[:6, :6] = moved_by(CART, another_variance(CART))
+    np.testing.assert_allclose(late - timely, opened, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,11 @@ WRONG = [
         ["ground.roll_sd_deg is of the planar plant"],
     ),
     ("seconds = 180.0", 'plant = "spatial"\nplanar = { w_f = 2 }', ["planar is of the planar plant"]),
+    (
+        "seconds = 180.0",
+        'plant = "spatial"\nloads = [{ at_s = 1, mass = 2, exponent = 0.7 }]',
+        ["loads.exponent is of the planar", "spatial.load_exponent"],
+    ),
     ("seconds = 180.0", "planar = { w_g = 2 }", ["planar.w_g", "w_f"]),
     ("seconds = 180.0", 'spatial = { tyre = "brsh" }', ["spatial.tyre", "brsh", "brush", "magic"]),
     ("seconds = 180.0", "spatial = { pin_hight = 1 }", ["spatial.pin_hight", "did you mean", "pin_height"]),

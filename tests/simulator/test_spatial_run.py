@@ -22,6 +22,7 @@ from tilth.simulator.scenario import (
     ORIGIN_DEG,
     Fieldwork,
     Ground,
+    LoadChange,
     RollSensor,
     RowSteering,
     Scenario,
@@ -33,6 +34,7 @@ from tilth.simulator.scenario import (
     parse_scenario,
 )
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
+from tilth.simulator.spatial.forces import TYRE_COLUMNS
 from tilth.simulator.spatial.vehicle import Vehicle, static_loads
 from tilth.simulator.spatial_run import vehicle_in
 from tilth.simulator.tractor import Truth, draw, setting_of
@@ -207,6 +209,24 @@ def test_soil_changes_are_met_axle_by_axle(machine: Machine) -> None:
     truth = drive(machine, 1, 10.0, replace(SPACE, steering=((1.0, 0.0),), soil=soil))
     changed = np.argmax(truth.soil[:, :3] < 0.7 * truth.soil[0, :3], axis=0) * 0.01 * 4.5
     np.testing.assert_allclose(np.diff(changed), [2.9, 4.62], atol=0.15)
+
+
+@needs_engine
+@pytest.mark.parametrize("stiffer", [0.0, 0.7])
+def test_an_implement_is_unloaded_on_its_way(machine: Machine, stiffer: float) -> None:
+    """Its tyres carry what is there, and slip as their stiffness then is: over the mass, by m^(n - 1)."""
+    spatial = Spatial(load_exponent=stiffer, camber_thrust=0.0)
+    loads = (LoadChange(0.0, 3.0), LoadChange(7.0, 1.0 / 3.0, over=1.0))
+    turn = replace(SPACE, steering=((20.0, 4.0),), spatial=spatial, loads=loads, speed_sd=0.0)
+    truth = drive(machine, 1, 14.0, turn)
+    assert truth.space is not None
+    tyres = truth.space.motion.tyres[[650, 1350], 4:]
+    carried = tyres[:, :, TYRE_COLUMNS.index("load")].sum(axis=1)
+    empty = static_loads(truth.space.vehicle)[2]
+    assert carried == pytest.approx([3.0 * empty, empty], rel=0.03)
+    slip = tyres[:, :, TYRE_COLUMNS.index("slip")].mean(axis=1)
+    assert slip[0] / slip[1] == pytest.approx(3.0 ** (1.0 - stiffer), rel=0.1)
+    assert truth.soil[650, 2] / truth.soil[1350, 2] == pytest.approx(3.0**stiffer)
 
 
 @needs_engine

@@ -23,6 +23,7 @@ from tilth.estimator.filters.unknowns import AT
 from tilth.estimator.methods import rows
 from tilth.estimator.methods.open_tracker import from_file, opened
 from tilth.estimator.methods.rows import Fit, Job, RowsState
+from tilth.estimator.record import straight_rows
 from tilth.estimator.record.record import Record, Segment, concatenate
 from tilth.estimator.state_json import from_json_data, to_json_data
 from tilth.logger.machine_file import read_machine
@@ -197,6 +198,41 @@ def test_steering_that_only_answers_the_ground_is_withheld_and_said() -> None:
     with console.capture() as shown:
         console.print(_table("rows", found))
     assert "20 % of it, 0.10° rms" in shown.get()
+
+
+@pytest.mark.parametrize(
+    ("before_s", "adopted", "last_s"),
+    [
+        (0.0, True, 0.0), (15.0, True, 0.0),  # too short for a row
+        (60.0, True, 60.0), (119.0, True, 119.0),  # too short for a first number without a stop
+        (120.0, True, 0.0), (200.0, True, 200.0),  # nothing of it is not fitted; 80 s are not
+        (200.0, False, 0.0),  # its fit is late
+    ],
+)  # fmt: skip
+def test_a_stop_ends_a_block_and_what_is_there_is_fitted(
+    before_s: float, adopted: bool, last_s: float
+) -> None:
+    """The last fit has so many seconds, and the next block none of them."""
+    state, t_ns, jobs = rows.initial(MACHINE), START, list[Job]()
+    for _ in range(round(before_s)):
+        t_ns = drive(state, 1.0, t_ns)
+        jobs += [job] if (job := rows.request_fit(state, t_ns)) else []
+        if state.job is not None and adopted:
+            rows.adopt(state, MACHINE, result(state, state.job), t_ns)
+    first = len(jobs)
+    rows.stood(state)
+    stood_ns = t_ns
+    jobs += [job] if (job := rows.request_fit(state, t_ns)) else []
+    assert [job.rows[-1].end_ns - job.rows[0].t_ns for job in jobs[first:]] == [last_s * S] * (last_s > 0.0)
+    assert all(job.full for job in jobs[first:])
+    assert all(straight_rows.is_long(job.rows) == (last_s >= 120.0) for job in jobs[first:])
+    if state.job is not None:
+        rows.adopt(state, MACHINE, result(state, state.job), t_ns)
+    assert np.array_equal(state.before_mean, state.mean) and not state.block.row and not state.block.complete
+    assert rows.estimate(state, MACHINE, t_ns).excitation["stops"] == 1.0
+    t_ns = drive(state, 121.0, t_ns)
+    following = rows.request_fit(state, t_ns)
+    assert following is not None and not following.full and following.rows[0].t_ns >= stood_ns
 
 
 def test_a_stored_state_goes_on_alike() -> None:
