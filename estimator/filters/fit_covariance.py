@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import unknowns
-from tilth.estimator.filters.likelihood import Search
+from tilth.estimator.filters.likelihood import Search, inverse
 from tilth.estimator.filters.priors import PRIOR
 from tilth.estimator.filters.states import DT
 from tilth.estimator.filters.unknowns import AT, NAMES
@@ -134,27 +134,49 @@ def lateral_square(record: Record) -> float:
 
 def published(
     search: Search, point: Array, scores: Array, covariance: Array, autocorrelation: float
-) -> Array:
-    """Covariance of all unknowns, (n, n), at a point, (n,), from that of the active ones, (a, a), widened for
-    coloured noise and for errors of the model."""
-    whole = np.zeros((len(NAMES), len(NAMES)))
-    whole[np.ix_(search.active, search.active)] = _sandwich(search, covariance, scores)
-    factors = np.ones(len(NAMES))
-    factors[unknowns.SIX] = 1.0 + FIT_COVARIANCE.colour_factor * max(autocorrelation, 0.0)
-    whole *= np.outer(factors, factors)
+) -> tuple[Array, Array]:
+    """(mean (n,), covariance (n, n)) of all unknowns, by where a search has ended, (n,), and the covariance
+    there of the active ones, (a, a): as far as coloured noise lets them be known, widened for errors of the
+    model. Not finite if these are not."""
+    active = search.active
+    mean, whole = point.copy(), np.zeros((len(NAMES), len(NAMES)))
+    if not (np.all(np.isfinite(covariance)) and np.all(np.isfinite(scores))):
+        return mean, np.full_like(whole, np.nan)
+    colour = (1.0 + FIT_COVARIANCE.colour_factor * max(autocorrelation, 0.0)) ** 2
+    change, whole[np.ix_(active, active)] = tempered(
+        (point - search.prior_mean)[active], covariance, inverse(search.prior_information),
+        scores_covariance(search, scores), colour,
+    )  # fmt: skip
+    mean[active] = search.prior_mean[active] + change
     if search.setup.scale == 1.0:
-        open_ = search.active[search.active < 6]
+        open_ = active[active < 6]
         whole[open_, open_] += model_sd_of(search.record, point)[open_] ** 2
-    return (whole + whole.T) / 2
+    return mean, (whole + whole.T) / 2
 
 
-def _sandwich(search: Search, covariance: Array, scores: Array) -> Array:
-    """The covariance, widened if the scores are correlated over time, as they are with coloured noise.
+def tempered(
+    change: Array, covariance: Array, prior: Array, scores: Array, colour: float
+) -> tuple[Array, Array]:
+    """(change (a,), covariance (a, a)) of a posterior from the prior, where a record has told as much less as
+    its scores vary more than its information says.
 
-    It is the sandwich estimator of quasi maximum likelihood, with the Newey-West estimate of the scores'
-    covariance in the middle. It never narrows: a short record may look better than white by chance.
+    It is the sandwich estimator of quasi maximum likelihood, direction by direction: along those that prior
+    and posterior have in common, the likelihood is raised to a power (tempered). So a shift counts as little
+    as the information that it comes with, and nothing is known worse than before. A power is at most 1: a
+    short record may look better than white by chance. prior: (a, a). scores: covariance of the record's
+    summed scores, (a, a). colour: what the power is divided by besides.
     """
-    return widened(covariance, scores_covariance(search, scores) + search.prior_information)
+    root = np.linalg.cholesky(prior)
+    inside = np.linalg.inv(root)
+    left, directions = np.linalg.eigh(inside @ covariance @ inside.T)
+    onto, back = directions.T @ inside, root @ directions
+    left = np.clip(left, 1e-12, 1.0 - 1e-12)  # of the prior's variance
+    of_scores = onto @ covariance
+    varies = np.einsum("ij,jk,ik->i", of_scores, scores, of_scores)
+    power = 1.0 / (np.maximum(varies / (left * (1.0 - left)), 1.0) * colour)
+    share = 1.0 / (left + (1.0 - left) * power)
+    made = (back * (share * left)) @ back.T
+    return back @ (share * power * (onto @ change)), made
 
 
 def scores_covariance(search: Search, scores: Array) -> Array:
@@ -172,7 +194,8 @@ def scores_covariance(search: Search, scores: Array) -> Array:
 
 
 def widened(covariance: Array, scores: Array) -> Array:
-    """A covariance, (a, a), no narrower in any unknown than the covariance of the scores lets it be."""
+    """A covariance, (a, a), no narrower in any unknown than the covariance of the scores lets it be. Of a
+    single fit of all data, not of one that others begin with: it may be wider than its prior (`tempered`)."""
     robust = covariance @ scores @ covariance
     factors = np.sqrt(np.maximum(np.diag(robust) / np.diag(covariance), 1.0))
     return np.asarray(covariance * np.outer(factors, factors), np.float64)

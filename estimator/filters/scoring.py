@@ -101,6 +101,7 @@ class Posterior:
 
     mean: Array  # [n] of unknowns.NAMES
     covariance: Array  # [n, n]
+    likeliest: Array  # [n], where the search has ended: `mean` as if noise were white
     information: Array  # [n, n] of the record without the prior
     cost: float  # minimum, per row
     gain: float  # log-likelihood of the record at the prior's mean minus that at `reference`, nats
@@ -144,9 +145,9 @@ def maximise_posterior(
     record_information = np.zeros_like(covariance)
     record_information[np.ix_(search.active, search.active)] = information - search.prior_information
     beside_it = contrast and converged and setup.scale == 1.0
+    known = published(search, found.point, scores, inverse(counted), autocorrelation)
     return Posterior(
-        found.point, published(search, found.point, scores, inverse(counted), autocorrelation),
-        record_information,
+        *known, found.point, record_information,
         found.cost / max(len(record.rows), 1), gain, ended.steps, len(record.rows),
         int(np.sum(search.used == 0.0)), autocorrelation, converged,
         contrast_of(search, found, counted) if beside_it else None,

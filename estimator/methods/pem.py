@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import fit_covariance, scoring, soil_change, unknowns
-from tilth.estimator.filters.contrast import MOTION, Contrast, joined
+from tilth.estimator.filters.contrast import Contrast, joined
 from tilth.estimator.filters.drift import retained_share
 from tilth.estimator.filters.rig_setup import RigSetup, rig_setup
 from tilth.estimator.filters.soil_change import SOIL_CHANGE
@@ -60,7 +60,6 @@ class PemTuning:
     change_ratio: float = tuned(100.0, "chi^2", "twice the nats that such a fit explains more at a change")
     """Other unknowns, the tyres' curve above all, give way before the six do: of twice the stiffness, known
     to 3 %, chi-square was 31 to 44, this 440 to 680."""
-    far: float = tuned(3.0, "sd", "of the machine file's, by which an unknown of the rig is not learned")
     least_share: float = tuned(0.25, "1", "of the prior variance, that a window removes along any direction")
     """In the test for a contradiction. If it removed next to nothing, the search's residual error alone would
     look like a contradiction."""
@@ -222,39 +221,11 @@ def fit(machine: Machine, job: Job) -> Fit:
         contrast = joined(
             Contrast() if changed else contrast, found.contrast, prior, (found.mean, found.covariance)
         )
-        off = _furthest(mean, prior)
-        tie |= fitted.is_tie((off, PEM.far))
-        if off > PEM.far:
-            alone = _told_anew(job.record, setup, covariance, prior)
-        else:
-            alone = _told(job.record, mean, covariance, found, prior, contrast.excess)
+        alone = _told(job.record, mean, covariance, found, prior, contrast.excess)
     return Fit(
         found.mean, found.covariance, alone, found.gain, found.whiteness, found.cost,
         found.iterations, found.rows, changed, tie, refused, contrast,
     )  # fmt: skip
-
-
-def _furthest(mean: Array, prior: tuple[Array, Array]) -> float:
-    """By how many sds of the machine file what windows have learned of the rig, (n,), is off it at most.
-    prior: as of unknowns.prior.
-
-    What is wrong with the model is alike in all windows, and each of them moves what looks like it further:
-    of one rig the implement's yaw inertia, by 23 sds. Then softer soil looks like the same soil.
-    """
-    of_rig = MOTION[6:][prior[1][MOTION[6:]] > 0.0]
-    return float(np.max(np.abs(mean - prior[0])[of_rig] / prior[1][of_rig], initial=0.0))
-
-
-def _told_anew(record: Record, setup: RigSetup, covariance: Array, prior: tuple[Array, Array]) -> Told | None:
-    """What a window alone tells, with the rig as its file has it. covariance: (n, n), before the window, for
-    noise levels. None where the search does not end."""
-    anew = np.diag(prior[1] ** 2)
-    anew[NOISE, NOISE] = covariance[NOISE, NOISE]
-    found = _posterior(record, setup, prior[0], anew)
-    if refusal(found, *prior) is not None or found.two_places or found.contrast is None:
-        return None
-    contrast = joined(Contrast(), found.contrast, prior, (found.mean, found.covariance))
-    return _told(record, prior[0], anew, found, prior, contrast.excess)
 
 
 def _told(
@@ -279,7 +250,7 @@ def _told(
     published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
-    whole = told(mean, known, found.mean, found.information, prior, wider, np.hypot(errors, excess))
+    whole = told(mean, known, found.likeliest, found.information, prior, wider, np.hypot(errors, excess))
     if found.pieces is None:
         return whole
     return replace(whole, patches=for_patches(found.pieces, wider, prior[1]))

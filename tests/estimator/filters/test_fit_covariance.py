@@ -47,6 +47,41 @@ def test_the_room_for_errors_of_the_model_is_that_of_the_window() -> None:
     assert np.all(uneven[:3] > 0.35) and np.array_equal(uneven[3:], plain[3:])
 
 
+def _spread(rng: np.random.Generator, size: int) -> Array:
+    root = rng.normal(size=(size, size)) * np.exp(rng.normal(size=size))
+    return np.asarray(root @ root.T, np.float64)
+
+
+@pytest.mark.parametrize("varies", [0.3, 1.0, 2.0, 30.0])
+@pytest.mark.parametrize("colour", [1.0, 1.5])
+def test_shift_and_information_of_a_window_are_weighed_alike(varies: float, colour: float) -> None:
+    """Scores that vary by one factor more than the information says: a posterior with so much less of it."""
+    rng = np.random.default_rng(64)
+    for _ in range(20):
+        prior, information, likeliest = _spread(rng, 7), _spread(rng, 7), rng.normal(size=7)
+        found = np.linalg.inv(np.linalg.inv(prior) + information)
+        change, covariance = fit_covariance.tempered(
+            found @ information @ likeliest, found, prior, varies * information, colour
+        )
+        told = information / (max(varies, 1.0) * colour)
+        expected = np.linalg.inv(np.linalg.inv(prior) + told)
+        assert np.allclose(covariance, expected, rtol=1e-6, atol=1e-8 * np.trace(expected))
+        assert np.allclose(change, expected @ told @ likeliest, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1, 3, 30])
+def test_scores_of_any_colour_make_nothing_less_known_than_before(size: int) -> None:
+    rng = np.random.default_rng(size)
+    for _ in range(20):
+        prior, information, scores = (_spread(rng, size) for _ in range(3))
+        found = np.linalg.inv(np.linalg.inv(prior) + information)
+        change = found @ information @ rng.normal(size=size)
+        less, covariance = fit_covariance.tempered(change, found, prior, 100.0 * scores, 1.2)
+        root = np.linalg.inv(np.linalg.cholesky(prior))
+        assert np.linalg.eigvalsh(root @ covariance @ root.T)[-1] < 1.0 + 1e-9
+        assert np.linalg.norm(root @ less) <= np.linalg.norm(root @ change) * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize("seconds", [1, 2, 8, 1000])
 def test_steering_that_is_held_leaves_more_room(seconds: int) -> None:
     """Wheels that go to and fro every so many seconds, 30 s of them: the share that is held for 4 s."""

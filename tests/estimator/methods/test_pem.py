@@ -294,21 +294,6 @@ def test_a_suspicion_that_does_not_stand_changes_nothing(
         assert np.array_equal(one, other)
 
 
-def test_a_window_tells_of_the_rig_of_the_file_where_others_have_moved_it_too_far(machine: Machine) -> None:
-    record, _ = _driven(2)
-    mean, sd = unknowns.prior(machine)
-    moved = mean.copy()
-    told = []
-    for sds in (0.0, 10.0):
-        moved[AT["I_i"]] = mean[AT["I_i"]] + sds * sd[AT["I_i"]]
-        made = pem.fit(machine, pem.Job(0, 0, record, moved.copy(), np.diag(sd**2)))
-        assert made.told is not None
-        told.append(made.told)
-    assert np.array_equal(told[0].vector, told[1].vector)
-    assert np.array_equal(told[0].information, told[1].information)
-    assert made.mean[AT["I_i"]] > mean[AT["I_i"]] + 3.0 * sd[AT["I_i"]]  # what is learned goes on from there
-
-
 def test_one_row_that_is_no_number_costs_only_the_window(machine: Machine) -> None:
     record, _ = _driven(1)
     rows = record.rows.copy()
