@@ -5,7 +5,8 @@
     python bench/recorder.py record MACHINE.toml FOLDER # until Ctrl-C; used in the virtual machine
 
 Where the kernel has no CAN, datagram sockets of loopback stand in for the raw ones: same code, same struct
-can_frame in them. `pytest -m vm_systemd -n 0 -k beside` sets it beside `candump -L` and `python -m can.logger` on a vcan.
+can_frame in them. `pytest -m vm_systemd -n 0 tests/vm/test_beside.py` sets it beside `candump -L` and
+`python -m can.logger` on a vcan.
 """
 
 # ruff: noqa: E402

@@ -26,6 +26,7 @@ def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) ->
     return of
 
 
+@pytest.mark.long
 def test_nothing_differs_between_a_log_and_itself(call: Answer, tmp_path: Path) -> None:
     status, out, _ = call("fit", recorded().parts[0], "--json")
     saved = tmp_path / "fit.json"

@@ -20,6 +20,7 @@ START = "import sys; sys.modules['asammdf'] = None; from tilth.cli import main; 
 COMMAND = [sys.executable, "-c", START, "demo", "--no-page"]
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_it_with_a_whole_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = [*COMMAND, "--seconds", "600", "--json", "--log", str(tmp_path)]
     output = tmp_path / "stderr"

@@ -22,7 +22,7 @@ from tilth.schemas.proto import tilth_pb2 as pb
 
 pytestmark = pytest.mark.skipif(shutil.which("dpkg-deb") is None, reason="no dpkg-deb: not on Debian")
 KEY = SigningKey(0xA1)
-CUTS = int(os.environ.get("TILTH_CUTS", "6"))
+CUTS = int(os.environ.get("TILTH_CUTS", "4"))
 
 
 @pytest.fixture

@@ -36,7 +36,7 @@ TOOLS = (
 )  # fmt: skip
 PACKAGES = "qemu-system-x86 busybox-static cpio kmod iproute2 can-utils"
 MACHINE = (
-    "-accel tcg -cpu max -smp 1 -m 1024 -nodefaults -no-reboot -display none "
+    "-accel tcg -cpu max -m 1024 -nodefaults -no-reboot -display none "
     "-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"
 )
 KERNEL = "console=ttyS0 quiet panic=-1 mitigations=off no_timer_check"
@@ -94,13 +94,15 @@ def boot(
     options: Sequence[str] = (),
     upper: str = "",
     modules: Sequence[str] = (),
+    processors: int = 2,
 ) -> Iterator[Guest]:
     """Start a machine that runs a command in the checkout and then ends.
 
     out: a folder, made where there is none. drives: raw images, /dev/vda and so on; what a drive has taken
     from the guest survives `kill`. options: further ones of QEMU. upper: the drive, an ext4, that has what
     the guest changes of its root, so that another start finds it; else it is in memory. modules: of the
-    kernel, beside MODULES.
+    kernel, beside MODULES. processors: two wait for each
+    other, which costs twice the computing; one is enough where no seconds are judged.
     """
     out.mkdir(parents=True, exist_ok=True)
     kernel, initial = _system((*MODULES, *modules))
@@ -116,6 +118,7 @@ def boot(
     arguments = [
         "qemu-system-x86_64",
         *shlex.split(MACHINE),
+        *("-smp", str(processors)),
         *("-serial", f"file:{console}", "-kernel", str(kernel), "-initrd", str(initial)),
         *("-append", f"{KERNEL} upper={upper}" if upper else KERNEL),
         *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),

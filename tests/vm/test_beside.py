@@ -1,4 +1,4 @@
-"""What a frame costs the recorder, beside candump and python-can's own logger: by hand, as a cost is printed."""
+"""What a frame costs the recorder, beside candump and python-can's own logger. By hand: it is printed."""
 
 import sys
 from pathlib import Path

@@ -16,6 +16,7 @@ def report(facts: Any) -> DriveReport:
     return report_of({"runs": [facts], "command": ""})
 
 
+@pytest.mark.long
 def test_all_files(report: DriveReport, tmp_path: Path) -> None:
     written = write(report, as_json(report), tmp_path / "a.html", figures=tmp_path / "figures")
     assert written[:2] == outputs(tmp_path / "a.html", False) and all(path.exists() for path in written)
