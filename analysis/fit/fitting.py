@@ -224,7 +224,7 @@ def driven_of(one: Wanted, cache: Path | None) -> tuple[Driven, ...]:
     """The driving of a segment. Raises CannotFit where there is none."""
     start_ns = one.run.start_ns + round(one.segment.start_s * 1e9)
     end_ns = one.run.start_ns + round(one.segment.end_s * 1e9)
-    found = tuple(at for at in driving(one.run, cache=cache) if start_ns <= at.t_ns <= end_ns)
+    found = driving(one.run, cache=cache, between_ns=(start_ns, end_ns))
     if not found:
         raise CannotFit(
             f"no poses between {one.segment.start_s:g} and {one.segment.end_s:g} s of {one.run.id}"

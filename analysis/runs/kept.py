@@ -22,7 +22,7 @@ from tilth.schemas.log_settings import Log
 
 Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
-FORM: Final = 10  # of what is kept; grows when its meaning changes
+FORM: Final = 11  # of what is kept; grows when its meaning changes
 SMALL_BYTES: Final = 20e6
 _BLOCK: Final = 1 << 20
 _HEAD: Final = b"tilth kept 1\n"  # then the SHA-256 of all that follows, which is JSON, packed

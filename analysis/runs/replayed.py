@@ -5,7 +5,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from tilth.analysis.runs.driven import Driven, kept_driving
+from tilth.analysis.runs.driven import Driven, DrivingPacker, kept_driving
 from tilth.analysis.runs.kept import Progress, Say, cache_folder, caches, key_of, sha256_of, store
 from tilth.estimator.fold import State
 from tilth.estimator.record.record import Segment
@@ -58,7 +58,7 @@ def replayed(
         unfinished.unlink(missing_ok=True)
     if not driven.of_another_rig:
         found = kept_driving(folder, [kept], machine_file.sha256)
-        store(found, tuple(driven.found), machine_file.machine.log)
+        store(found, driven.packer.blocks(), machine_file.machine.log)
     return kept
 
 
@@ -66,13 +66,13 @@ class _HeardDriving:
     """The driving of a run, as its poses come."""
 
     def __init__(self) -> None:
-        self.found: list[Driven] = []
+        self.packer = DrivingPacker()
         self.of_another_rig = False
         """Whether it may be that of a rig with other numbers than the machine file's, for which it is fitted:
         under way a value was accepted, or another load."""
 
     def take(self, state: State, pose: Pose, segment: Segment | None) -> None:
-        self.found.append(Driven(pose, segment))
+        self.packer.add(Driven(pose, segment))
         self.of_another_rig |= bool(state.accepted or state.carried)
 
 

@@ -1,5 +1,6 @@
 """A run's driving as the estimators take it: what the fold gave live, whole or in parts; kept."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 from recorded import recorded
 
 import tilth.analysis
+from tilth.analysis.runs import driven
 from tilth.analysis.runs import driving as module
 from tilth.analysis.runs.driven import Driven
 from tilth.analysis.runs.driving import driving
+from tilth.analysis.runs.kept import packed
 
 pytestmark = pytest.mark.long
 
@@ -26,6 +29,17 @@ def test_poses_are_those_that_were_recorded(tmp_path: Path) -> None:
     assert [at.pose.tractor.heading for at in found] == run.poses["tractor_heading_rad"].tolist()
     usable = [at for at in found if at.segment is not None and not at.segment.reason]
     assert len(usable) > 200 and done and done[-1][0] <= done[-1][1]
+
+
+def test_times_that_are_asked_for_are_given_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driven, "BLOCK", 50)
+    (run,) = tilth.analysis.open(recorded().parts)
+    whole = driving(run, cache=tmp_path)
+    times = [at.t_ns for at in whole]
+    for first, last in ((0, 0), (7, 7), (48, 52), (49, 49), (50, 120), (0, len(times) - 1)):
+        wanted = driving(run, cache=tmp_path, between_ns=(times[first], times[last]))
+        assert packed(wanted) == packed(whole[first : last + 1])
+    assert driving(run, cache=tmp_path, between_ns=(times[-1] + 1, math.inf)) == ()
 
 
 def test_parts_give_what_the_whole_gives(tmp_path: Path) -> None:
