@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from paths import MACHINE_FILE, SHARED
+from paths import MACHINE_FILE as MACHINE_FILE
+from paths import SHARED
 
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
