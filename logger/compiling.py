@@ -158,9 +158,9 @@ def why_not_kept() -> str:
         return ""
     from tilth.estimator import kernel_store
 
-    return untrusted() or (
-        "" if kernel_store.folder() else NO_CACHE_FOLDER
-    )  # nothing there was looked at yet
+    if refused := untrusted():  # before anything there is looked at
+        return refused
+    return "" if kernel_store.folder() else NO_CACHE_FOLDER
 
 
 def untrusted() -> str:

@@ -22,6 +22,7 @@ from recorded import RUN_FOLDER, once
 from tilth.estimator.kernel_store import BASELINES
 from tilth.logger import compiling
 from tilth.logger.can.lean_can import import_can
+from tilth.schemas.machine import Machine
 
 if TYPE_CHECKING:
     import can
@@ -102,6 +103,12 @@ def _built(folder: Path) -> Path:
     assert built.returncode == 0, built.stdout[-2000:] + built.stderr[-2000:]
     (path,) = folder.glob("*.whl")
     return path
+
+
+@pytest.fixture(scope="session")
+def machine() -> Machine:
+    """The packaged rig."""
+    return MACHINE
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from contributing import CONTRIBUTING, DIFFS, FILES, changed
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 
 from tilth.cli import COMMANDS, CommandFailed
 from tilth.deploy.imports import folders
@@ -168,7 +168,7 @@ def test_the_example_of_an_estimator() -> None:
     row = re.search(r"^\+    (Estimator\(.*\)),$", CONTRIBUTING, re.M)
     assert row is not None
     made: Estimator = eval(row[1], {"Estimator": Estimator, "idle": SimpleNamespace(**names)})
-    machine, _ = read_machine(ROOT / "deploy" / "machines" / "jd7930-parker500.toml")
+    machine, _ = read_machine(MACHINE_FILE)
     estimate = made.estimate(made.initial(machine), machine, 1)
     sent = CHANNEL["/soil_tire"].encode(estimate)
     assert [one.status for one in SoilTireEstimate.FromString(sent).parameters] == [0] * 6

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from calibration_shown import STANDS, computed, fold_of, shown_of
 from client_daemon import until
-from kinematic_drive import FILE, GUIDED, MACHINE, Plan, measurements
+from kinematic_drive import GUIDED, MACHINE, Plan, measurements
+from paths import MACHINE_FILE
 from rich.console import Console
 
 from tilth.cli import main
@@ -54,7 +55,7 @@ def _free_port() -> int:
 )
 def test_wrong_use_is_a_sentence(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     at = f"tcp/127.0.0.1:{_free_port()}"
-    assert main(["calibrate", "--live", "--machine", str(FILE), "--connect", at, *words]) == 2
+    assert main(["calibrate", "--live", "--machine", str(MACHINE_FILE), "--connect", at, *words]) == 2
     assert said in capsys.readouterr().err
 
 
@@ -146,7 +147,7 @@ def test_who_reads_lines_is_told_why_nothing_counts_and_how_the_estimate_stands(
 @pytest.fixture
 def estimates() -> Iterator[BackgroundEstimates]:
     """They end with the test, also with one that fails."""
-    with closing(BackgroundEstimates(["--machine", str(FILE)])) as them:
+    with closing(BackgroundEstimates(["--machine", str(MACHINE_FILE)])) as them:
         yield them
 
 

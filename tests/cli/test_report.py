@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 from asked import Answer, asked
-from paths import ROOT
+from paths import MACHINE_FILE
 from report_run import WrittenRun, write_run
 from small_disk import TILTH, on_a_small_disk
 
 pytestmark = pytest.mark.long
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 
 
 @pytest.fixture
@@ -72,7 +71,7 @@ def test_a_log_of_another_program_is_replayed(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     foreign = tmp_path / "a.log"
     foreign.write_text("".join(f"(17000000{k:02}.000000) can0 09F8011C#A7DF521F4A624103\n" for k in range(5)))
-    status, _, err = answer(foreign, "--out", tmp_path / "a.html", "--machine", MACHINE)
+    status, _, err = answer(foreign, "--out", tmp_path / "a.html", "--machine", MACHINE_FILE)
     assert status == 1 and "no pose could be computed" in err and "--machine" in err
     assert not (tmp_path / "a.html").exists()
 

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from asked import Answer, asked
-from paths import ROOT
+from paths import MACHINE_FILE
 from report_run import write_run
 
 from tilth.analysis.report.document import ReportFigure
@@ -26,7 +26,6 @@ from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 
 pytestmark = pytest.mark.long
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
 
 def oversteering(folder: Path) -> Path:
     """Loose behind: unstable at 7.5 m/s, not at 1."""
-    text = MACHINE.read_text(encoding="utf-8").replace(
+    text = MACHINE_FILE.read_text(encoding="utf-8").replace(
         "cornering_stiffness = 486e3", "cornering_stiffness = 60e3"
     )
     path = folder / "loose.toml"
@@ -49,7 +48,9 @@ def names(folder: Path) -> list[str]:
 
 
 def test_the_numbers_are_those_of_the_step(answer: Answer) -> None:
-    status, out, _ = answer(MACHINE, "--speed", 4.5, "--seconds", 6, "--speed", 1, "--seconds", 30, "--json")
+    status, out, _ = answer(
+        MACHINE_FILE, "--speed", 4.5, "--seconds", 6, "--speed", 1, "--seconds", 30, "--json"
+    )
     found = json.loads(out, parse_constant=pytest.fail)
     assert status == 0 and [entry["speed"] for entry in found["speeds"]] == [4.5, 1.0]
     entry = found["speeds"][0]
@@ -75,7 +76,7 @@ def test_derivatives_and_a_choice(answer: Answer) -> None:
         "--json",
     )
     exact, step = (
-        json.loads(answer(MACHINE, *words, "--step", way)[1])["speeds"][0] for way in ("exact", "1%")
+        json.loads(answer(MACHINE_FILE, *words, "--step", way)[1])["speeds"][0] for way in ("exact", "1%")
     )
     assert exact["outputs"] == ["r_t", "psi_t"] and list(exact["local"]) == ["C_af", "m_i"]
     for name, row in exact["local"].items():
@@ -86,7 +87,7 @@ def test_derivatives_and_a_choice(answer: Answer) -> None:
 
 
 def test_the_table_has_every_parameter_that_acts(answer: Answer) -> None:
-    status, out, _ = answer(MACHINE, "--speed", 4.5)
+    status, out, _ = answer(MACHINE_FILE, "--speed", 4.5)
     assert status == 0 and re.search(r"│ C_af +│ 0\.21\d │", out)
     assert all(f"│ {name} " in out for name in MACHINE_PARAMETERS[:-2]) and "h_t" not in out
     assert all(output in out for output in SIX)
@@ -94,7 +95,7 @@ def test_the_table_has_every_parameter_that_acts(answer: Answer) -> None:
 
 def test_two_models(answer: Answer) -> None:
     words = ("--speed", 4.5, "--model", "kinematic", "--model", "dynamic", "--json")
-    entries = json.loads(answer(MACHINE, *words)[1])["speeds"]
+    entries = json.loads(answer(MACHINE_FILE, *words)[1])["speeds"]
     assert [entry["model"] for entry in entries] == ["kinematic", "dynamic"]
     overalls = [entry["local"]["C_af"]["overall"] for entry in entries]
     assert overalls[0] == 0.0 < overalls[1]
@@ -102,7 +103,7 @@ def test_two_models(answer: Answer) -> None:
 
 def test_a_report(answer: Answer, tmp_path: Path) -> None:
     out = tmp_path / "a.html"
-    status, _, err = answer(MACHINE, "--speed", 1, "--speed", 4.5, "--out", out)
+    status, _, err = answer(MACHINE_FILE, "--speed", 1, "--speed", 4.5, "--out", out)
     assert status == 0 and "wrote" in err and names(tmp_path) == ["a.html", "a.json"]
     page, content = (
         out.read_text(encoding="utf-8"),
@@ -128,7 +129,7 @@ def test_the_same_question_gives_the_same_bytes(
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         monkeypatch.chdir(tmp_path / name)
-        assert answer(MACHINE, "--speed", 4.5, "--parameters", "C_af", "--out", "a.html")[0] == 0
+        assert answer(MACHINE_FILE, "--speed", 4.5, "--parameters", "C_af", "--out", "a.html")[0] == 0
         made.append([(path.name, path.read_bytes()) for path in sorted(Path().iterdir())])
     assert made[0] == made[1] and len(made[0]) == 2
 
@@ -206,14 +207,14 @@ def test_a_speed_at_which_it_is_unstable_is_left_out_and_told(answer: Answer, tm
     ],
 )
 def test_wrong_use(answer: Answer, words: list[str], told: str) -> None:
-    status, out, err = answer(MACHINE, *words)
+    status, out, err = answer(MACHINE_FILE, *words)
     assert status == 2 and out == "" and told in err and err.count("\n") == 1
 
 
 def test_over_many_rigs(answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A box at a speed at which a part of it is unstable; by the table, JSON and page."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    words = (MACHINE, "--speed", 7.5, "--seconds", 1, "--outputs", "r_t", "--global", "--points", 200)
+    words = (MACHINE_FILE, "--speed", 7.5, "--seconds", 1, "--outputs", "r_t", "--global", "--points", 200)
     box = ("--box", "C_af=100e3:400e3", "--box", "C_ar=60e3:900e3")
     status, out, _ = answer(
         *words, *box, "--workers", 1, "--json", "--out", tmp_path / "a.html", "--no-indices"
@@ -233,7 +234,7 @@ def test_the_shape_of_the_json(answer: Answer, tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     box = ("--box", "C_af=100e3:300e3", "--box", "C_ai=60e3:300e3")
     words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 100, "--workers", 1, "--json")
-    (entry,) = json.loads(answer(MACHINE, *words, *box)[1], parse_constant=pytest.fail)["speeds"]
+    (entry,) = json.loads(answer(MACHINE_FILE, *words, *box)[1], parse_constant=pytest.fail)["speeds"]
     assert {"speed", "outputs", "local", "global", "unstable_share"} <= set(entry)
     for row in entry["global"].values():
         assert {"mean", "median", "q05", "q95", "sobol_first", "sobol_total"} <= set(row)
@@ -265,7 +266,7 @@ def test_over_many_rigs_by_any_model_input_and_output(
         "--json",
     )
     asked = ("--model", "kinematic", "--input", "chirp", "--outputs", "cross_track,r_i", "--box", "d=2:4")
-    (entry,) = json.loads(answer(MACHINE, *words, *asked)[1], parse_constant=pytest.fail)["speeds"]
+    (entry,) = json.loads(answer(MACHINE_FILE, *words, *asked)[1], parse_constant=pytest.fail)["speeds"]
     row = entry["global"]["d"]
     assert entry["global_outputs"] == ["r_i", "cross_track"] or set(row["by_output"]) == {
         "r_i",
@@ -284,7 +285,7 @@ def test_rigs_by_the_covariance_of_a_log(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = write_run(tmp_path / "a.mcap")
     words = ("--speed", 4.5, "--seconds", 1, "--global", "--points", 100, "--workers", 1, "--json")
-    status, out, _ = answer(MACHINE, *words, "--from", log, "--outputs", "off_tracking")
+    status, out, _ = answer(MACHINE_FILE, *words, "--from", log, "--outputs", "off_tracking")
     said = json.loads(out, parse_constant=pytest.fail)
     (entry,) = said["speeds"]
     assert status == 0 and "covariance" in said["design"]["what"] and entry["unstable_share"] == 0.0
@@ -298,13 +299,13 @@ def test_rigs_by_the_covariance_of_a_log(
 
 def test_a_report_is_never_overwritten(answer: Answer, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("mine")
-    status, _, err = answer(MACHINE, "--out", tmp_path / "a.html")
+    status, _, err = answer(MACHINE_FILE, "--out", tmp_path / "a.html")
     assert status == 2 and "never overwritten" in err and (tmp_path / "a.json").read_text() == "mine"
 
 
 def test_a_value_that_is_not_positive(answer: Answer, tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
-    path.write_text(MACHINE.read_text(encoding="utf-8").replace("= 167e3", "= 0.0"), encoding="utf-8")
+    path.write_text(MACHINE_FILE.read_text(encoding="utf-8").replace("= 167e3", "= 0.0"), encoding="utf-8")
     status, _, err = answer(path)
     assert status == 2 and "tyres.implement.cornering_stiffness" in err
 
@@ -315,7 +316,7 @@ def test_a_full_disk(answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(Path, "write_bytes", full)
     status, out, err = answer(
-        MACHINE, "--speed", 4.5, "--parameters", "C_af", "--out", tmp_path / "a.html", "--json"
+        MACHINE_FILE, "--speed", 4.5, "--parameters", "C_af", "--out", tmp_path / "a.html", "--json"
     )
     assert status == 1 and "no space left on device; nothing was written" in err and names(tmp_path) == []
     assert json.loads(out)["speeds"]
@@ -324,7 +325,7 @@ def test_a_full_disk(answer: Answer, tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_may_not_be_written(answer: Answer, tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    status, _, err = answer(MACHINE, "--speed", 4.5, "--out", tmp_path / "a.html")
+    status, _, err = answer(MACHINE_FILE, "--speed", 4.5, "--out", tmp_path / "a.html")
     assert status == 2 and "you may not" in err
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 
 from tilth.cli import main
 from tilth.estimator.fold import initial, step
@@ -28,7 +28,6 @@ from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.traffic import host_clock, simulate
 
 SCENARIOS = ROOT / "examples" / "scenarios"
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 SUDDEN = """
 seconds = 4.0
 seed = 5
@@ -40,11 +39,6 @@ east = 0.0
 C_af = 0.5
 C_ai = 0.5
 """
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return parse_machine(MACHINE.read_text())
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +90,7 @@ def test_a_candump_log_replays_with_a_machine_file(
     first = log.read_text().splitlines()[0]
     assert re.fullmatch(r"\(17778\d{5}\.\d{6}\) can0 18EEFF[0-9A-F]{2}#[0-9A-F]{16}", first)
     capsys.readouterr()
-    assert main(["replay", str(log), "--machine", str(MACHINE), "--json"]) == 0
+    assert main(["replay", str(log), "--machine", str(MACHINE_FILE), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["poses"] > 5
 
 
@@ -124,7 +118,7 @@ def test_the_truth_names_parameters_rig_events_and_source(sudden: Path, machine:
         "meaning": "mass of the implement with its load",
     }
     assert result["source"]["seed"] == 5
-    assert (result["source"]["scenario"], result["source"]["machine"]) == (SUDDEN, MACHINE.read_text())
+    assert (result["source"]["scenario"], result["source"]["machine"]) == (SUDDEN, MACHINE_FILE.read_text())
     assert result["source"]["software"]["numpy"] == np.__version__
     clock = host_clock(truth)
     whats = [(e["what"], e.get("mount"), e.get("axle")) for e in result["events"]]
@@ -192,7 +186,7 @@ def test_the_scenario_may_name_its_machine(tmp_path: Path) -> None:
     assert main(["simulate", str(SCENARIOS / "kingpin.toml"), "--out", str(log), "--seconds", "1"]) == 0
     assert machine_in([log])[0].wheel_angle.kingpin == "left"
     other = tmp_path / "other.mcap"
-    words = ["--out", str(other), "--seconds", "1", "--machine", str(MACHINE)]
+    words = ["--out", str(other), "--seconds", "1", "--machine", str(MACHINE_FILE)]
     assert main(["simulate", str(SCENARIOS / "kingpin.toml"), *words]) == 0
     assert machine_in([other])[0].wheel_angle.kingpin == "mean"
 
@@ -243,7 +237,7 @@ def test_wrong_use_is_one_sentence_and_exit_status_2(
     names |= {"beside": tmp_path / "beside.log", "nowhere": tmp_path / "no" / "run.log"}
     names["good"].write_text("seconds = 1.0\n")
     names["bad"].write_text("speeed = 4.0\n")
-    names["odd"].write_text(MACHINE.read_text().replace("mass = 9391.0", "mass = 93.0"))
+    names["odd"].write_text(MACHINE_FILE.read_text().replace("mass = 9391.0", "mass = 93.0"))
     names["old"].write_bytes(b"precious")
     Path(f"{names['beside']}.truth.csv").write_bytes(b"precious")
     before = sorted(tmp_path.iterdir())
@@ -299,7 +293,7 @@ def test_a_simulation_that_is_stopped_leaves_nothing(tmp_path: Path, machine: Ma
             assert len(list(tmp_path.iterdir())) == 3
             raise KeyboardInterrupt
 
-    source = SimulationInput(machine, MACHINE.read_text(), Scenario(), "", 1, 10.0)
+    source = SimulationInput(machine, MACHINE_FILE.read_text(), Scenario(), "", 1, 10.0)
     with pytest.raises(KeyboardInterrupt):
         simulate_to(source, tmp_path / f"run.{ending}", stop)
     assert list(tmp_path.iterdir()) == []
@@ -326,7 +320,10 @@ def test_a_rig_of_the_fleet_has_its_owners_file_beside_its_log(
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [(["--fleet", "-1"], "--fleet -1"), (["--fleet", "3", "--machine", str(MACHINE)], "not allowed with")],
+    [
+        (["--fleet", "-1"], "--fleet -1"),
+        (["--fleet", "3", "--machine", str(MACHINE_FILE)], "not allowed with"),
+    ],
 )
 def test_no_rig_of_the_fleet(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     scenario = str(SCENARIOS / "random.toml")

@@ -6,13 +6,12 @@ from pathlib import Path
 import pytest
 from asked import Answer, asked
 from logs import MACHINE_TEXT
-from paths import ROOT
+from paths import MACHINE_FILE
 from report_run import WrittenRun, write_run
 from small_disk import TILTH, on_a_small_disk
 
 from tilth.schemas.flow import PARAMETERS
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 QUICK = ("--speed", "4.5", "--draws", "100")
 
 
@@ -22,12 +21,12 @@ def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
 
 
 def test_what_the_machine_file_knows(answer: Answer) -> None:
-    status, out, _ = answer(MACHINE, *QUICK, "--json")
+    status, out, _ = answer(MACHINE_FILE, *QUICK, "--json")
     said = json.loads(out, parse_constant=pytest.fail)
     (entry,) = said["speeds"]
     assert status == 0 and set(PARAMETERS) <= set(said["parameters"]) and said["source"] == "the machine file"
     assert entry["draws"] == 100 and 0.0 < entry["unstable_share"] < 0.3
-    status, out, _ = answer(MACHINE, *QUICK)
+    status, out, _ = answer(MACHINE_FILE, *QUICK)
     assert status == 0 and "off_tracking" in out and "% of the rigs drawn are unstable" in out
     told = " ".join(out.replace("│", " ").split())
     assert "Use “known to”" in told and "C_af: cornering stiffness, tractor's front axle" in told
@@ -49,7 +48,7 @@ def test_the_report(answer: Answer, tmp_path: Path) -> None:
     out = tmp_path / "a.html"
     words = ("--sd", "C_ai=20%", "--sd", "sigma_i=0.2", "--correlation", "C_ai,sigma_i=0.5")
     status, _, err = answer(
-        MACHINE, *QUICK, *words, "--want", "off_tracking=0.01", "--want", "r_i=5%", "--out", out
+        MACHINE_FILE, *QUICK, *words, "--want", "off_tracking=0.01", "--want", "r_i=5%", "--out", out
     )
     assert status == 0 and "wrote" in err
     page = out.read_text(encoding="utf-8")
@@ -78,7 +77,7 @@ def test_the_report(answer: Answer, tmp_path: Path) -> None:
     ],
 )
 def test_wrong_use(answer: Answer, words: list[str], told: str) -> None:
-    status, out, err = answer(MACHINE, *words)
+    status, out, err = answer(MACHINE_FILE, *words)
     assert status == 2 and told in err and out == "" and "Traceback" not in err
     assert len(err.strip().splitlines()) == 1
 
@@ -105,7 +104,7 @@ def test_a_log_of_another_machine_file_is_replayed(
 
 def test_a_rig_that_is_unstable(answer: Answer, tmp_path: Path) -> None:
     loose = tmp_path / "loose.toml"
-    text = MACHINE.read_text(encoding="utf-8")
+    text = MACHINE_FILE.read_text(encoding="utf-8")
     loose.write_text(text.replace("cornering_stiffness = 486e3", "cornering_stiffness = 60e3"), "utf-8")
     status, _, err = answer(loose, "--speed", 7.5, "--sd", "C_ar=1%")
     assert status == 2 and "unstable" in err
@@ -117,7 +116,7 @@ def test_a_rig_that_is_unstable(answer: Answer, tmp_path: Path) -> None:
 def test_a_full_disk(tmp_path: Path) -> None:
     words: list[str | Path] = [
         "uncertainty",
-        MACHINE,
+        MACHINE_FILE,
         *QUICK,
         "--sd",
         "C_ai=10%",

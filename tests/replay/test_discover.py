@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from paths import ROOT
 
 from tilth.cli import WrongUse, main
 from tilth.cli.discover import parse_buses
@@ -28,15 +27,9 @@ from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.scenario import Fault, Scenario
 from tilth.simulator.traffic import simulate
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 STEER = 0x18FF0B15
 SECOND = 1_000_000_000
 DRIVE = Scenario(steering=((3.0, 0.0), (6.0, 8.0), (6.0, -8.0)))
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return parse_machine(MACHINE.read_text())
 
 
 def _findings(frames: Iterator[Frame]) -> Findings:

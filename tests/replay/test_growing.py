@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kinematic_drive import FILE, MACHINE
+from kinematic_drive import MACHINE
 from logs import chunk_ends, write_candump, write_mcap
 from mcap.opcode import Opcode
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 
 from tilth.cli import main
 from tilth.logger.log.mcap_file import HEAD, RecordPlace, walk
@@ -22,7 +22,7 @@ from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame, Measurement
 
-TEXT = FILE.read_text(encoding="utf-8")
+TEXT = MACHINE_FILE.read_text(encoding="utf-8")
 RUNS = tuple(f"jd7930-parker500_{stamp}Z" for stamp in ("20261121T080000", "20261121T090000"))
 LONG_AGO = "jd7930-parker500_20261120T080000Z"
 NO_TIME = tuple(f"jd7930-parker500_{stamp}Z" for stamp in ("19700101T000001", "19700101T000002"))
@@ -32,7 +32,8 @@ NO_TIME = tuple(f"jd7930-parker500_{stamp}Z" for stamp in ("19700101T000001", "1
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     to = tmp_path_factory.mktemp("growing") / "drive.mcap"
     scenario = ROOT / "examples" / "scenarios" / "calibration_drive.toml"
-    assert main(["simulate", str(scenario), "--seconds", "8", "--out", str(to), "--machine", str(FILE)]) == 0
+    words = ["--seconds", "8", "--out", str(to), "--machine", str(MACHINE_FILE)]
+    assert main(["simulate", str(scenario), *words]) == 0
     return to
 
 
@@ -54,7 +55,7 @@ def test_portions_give_what_the_whole_gives(log: Path, tmp_path: Path, seed: int
 
 
 def test_the_machine_file_is_at_the_beginning(log: Path, tmp_path: Path) -> None:
-    assert opening_machine(log) == FILE.read_text(encoding="utf-8")
+    assert opening_machine(log) == MACHINE_FILE.read_text(encoding="utf-8")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log.read_bytes()[:60])
     assert opening_machine(cut) is None

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 
 from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
 
-TEXT = (ROOT / "deploy" / "machines" / "jd7930-parker500.toml").read_text()
+TEXT = MACHINE_FILE.read_text()
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "deploy" / "machines").glob("*.toml")), ids=lambda p: p.name)

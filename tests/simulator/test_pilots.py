@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paths import ROOT
 
 from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
 from tilth.simulator.noise import generator
 from tilth.simulator.pilots import PATH_STEP, design, driver_of, headland, speeds, wheel_angles
@@ -24,14 +22,8 @@ from tilth.simulator.scenario import (
 )
 from tilth.simulator.tractor import Truth
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 FIRM = Soil(grip=0.7, rolling=0.06)
 ROWS = Fieldwork(length=60.0, spacing=6.1, turn_radius=6.0, position_sd=0.0)
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return parse_machine(MACHINE.read_text())
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 
 from tilth.estimator.models.manoeuvres import MANOEUVRES
 from tilth.logger.machine_file import read_machine
@@ -28,7 +28,6 @@ from tilth.simulator.traffic import simulate
 
 FILES = sorted((ROOT / "examples" / "scenarios").rglob("*.toml"))
 TEXT = (ROOT / "examples" / "scenarios" / "bad_day.toml").read_text()
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
@@ -36,7 +35,7 @@ def test_shipped_scenarios_say_what_they_are_for_and_can_be_driven(path: Path) -
     scenario = parse_scenario(path.read_text())
     assert scenario.purpose.endswith((".", "?")) and len(scenario.purpose) > 40
     assert ". " not in scenario.purpose  # one sentence
-    machine, _ = read_machine(MACHINE if scenario.machine is None else path.parent / scenario.machine)
+    machine, _ = read_machine(MACHINE_FILE if scenario.machine is None else path.parent / scenario.machine)
     check_mounts(scenario, [receiver.mount for receiver in machine.receiver])
     decoder = Decoder(machine)
     found = [m for frame in simulate(machine, 1, 2.0, scenario) for m in decoder.measurements(frame)]
@@ -152,7 +151,7 @@ def test_no_damage_raises_anything_but_a_sentence(at: int, junk: str) -> None:
 
 
 def test_a_receiver_that_the_machine_lacks_is_named() -> None:
-    text = MACHINE.read_text()
+    text = MACHINE_FILE.read_text()
     start = text.index('[[receiver]]\nmount = "implement_rear"')
     three = parse_machine(text[:start] + text[text.index("[wheel_angle]") :])
     mounts = [receiver.mount for receiver in three.receiver]

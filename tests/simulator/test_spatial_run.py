@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 from scipy.spatial.transform import Rotation
 
 from tilth.cli import main
@@ -39,7 +39,7 @@ from tilth.simulator.spatial.vehicle import Vehicle, static_loads
 from tilth.simulator.spatial_run import vehicle_in
 from tilth.simulator.tractor import Truth, draw, setting_of
 
-TEXT = (ROOT / "deploy" / "machines" / "jd7930-parker500.toml").read_text()
+TEXT = MACHINE_FILE.read_text()
 STEERING = ((2.0, 0.0), (5.0, 5.0), (5.0, -3.0))
 QUIET = Scenario(speed_sd=0.0, noise=0.0, steering=STEERING)
 SPACE = replace(QUIET, plant="spatial")

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paths import ROOT
 
 from tilth.schemas.decode import Decoder, encode, frames_of
 from tilth.schemas.flow import Frame, Measurement, Position, Velocity, WheelAngle, Word, YawRate
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import STEP_S, Scenario
 from tilth.simulator.steered_rig import LiveDriver
@@ -21,16 +19,10 @@ from tilth.simulator.steering import ADDRESS, COMMAND, REFUSALS, TIMEOUT_S, Stee
 from tilth.simulator.tractor import Setting, Truth
 from tilth.simulator.traffic import traffic
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 WHEELBASE = 2.9
 ONE, OTHER = 0x1C, 0x2A  # source addresses of controllers
 
 Sent = tuple[int, bytes]
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return parse_machine(MACHINE.read_text())
 
 
 def command(angle: float | None, source: int = ONE, status: str = "intended") -> Sent:

@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from logs import with_exact_lengths
-from paths import ROOT
 from scipy.integrate import solve_ivp
 
 from tilth.estimator.models import nonlinear
@@ -15,7 +14,6 @@ from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.rig.geometry import lever
 from tilth.schemas.flow import PARAMETERS, FixType, Mount
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator import tractor
 from tilth.simulator.drive import drive
 from tilth.simulator.receivers import Report, reports, wheel_readings
@@ -34,14 +32,8 @@ from tilth.simulator.scenario import (
 )
 from tilth.simulator.tractor import BodyTrack, Truth, draw
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 QUIET = Scenario(speed_sd=0.0, noise=0.0, steering=((2.0, 0.0), (12.0, 8.0), (3.0, -5.0)))
 STRAIGHT = ((1.0, 0.0),)
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return parse_machine(MACHINE.read_text())
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.schemas.can_id import split
 from tilth.schemas.decode import Decoder
@@ -30,13 +30,7 @@ from tilth.simulator.receivers import reports
 from tilth.simulator.scenario import STEP_S, Fault, Reclaim, Scenario, Wheel
 from tilth.simulator.traffic import simulate
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 SECONDS = 12.0
-
-
-@pytest.fixture(scope="module")
-def machine() -> Machine:
-    return parse_machine(MACHINE.read_text())
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +146,8 @@ def test_two_of_a_kind_settle_their_address_by_name(machine: Machine, frames: li
         Mount.IMPLEMENT_REAR: 129,
     }
     assert {m.origin.name for m in claims} >= set(DEVICES.values())
-    swapped = parse_machine(MACHINE.read_text().replace("E240", "E2FF"))  # the front one's NAME is higher now
+    # The front one's NAME is higher now.
+    swapped = parse_machine(MACHINE_FILE.read_text().replace("E240", "E2FF"))
     measurements, _ = _measurements(swapped, list(simulate(swapped, 1, 2.0)))
     sources = {m.origin.mount: m.origin.source for m in measurements if isinstance(m, Position)}
     assert (sources[Mount.TRACTOR_FRONT], sources[Mount.TRACTOR_REAR]) == (128, 28)
@@ -253,7 +248,7 @@ def test_reverse_is_told_by_the_tractor(machine: Machine) -> None:
 
 
 def test_several_buses(machine: Machine) -> None:
-    text = MACHINE.read_text()
+    text = MACHINE_FILE.read_text()
     second = (
         '[[bus]]\nname = "can1"\ninterface = "socketcan"\nchannel = "can1"\nbitrate = 500000\n\n[[receiver]]'
     )
@@ -275,7 +270,7 @@ def test_several_buses(machine: Machine) -> None:
     ],
 )
 def test_other_wheel_angle_sensors(sensor: str) -> None:
-    text = MACHINE.read_text()
+    text = MACHINE_FILE.read_text()
     head, _, tail = text.partition("id = 0x18FF0B15")
     end = tail[tail.index("zero = ") :]
     head = head.replace("cg_height = 1.1\n", "cg_height = 1.1\nkingpin_distance = 1.7\n")

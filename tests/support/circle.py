@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.estimator.pose.geometry import to_plane
 from tilth.estimator.rig.geometry import lever, rotate
@@ -34,7 +34,7 @@ START_NS = 1_777_881_600_000_000_000
 
 def demo_machine(**replaced: str) -> Machine:
     """The packaged rig; `replaced` maps a text of the file onto another."""
-    text = (ROOT / "deploy" / "machines" / "jd7930-parker500.toml").read_text()
+    text = MACHINE_FILE.read_text()
     for old, new in replaced.items():
         text = text.replace(old, new)
     return parse_machine(text)

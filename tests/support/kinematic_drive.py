@@ -2,10 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.estimator.pose.geometry import to_degrees
 from tilth.schemas.flow import (
@@ -23,8 +22,7 @@ from tilth.schemas.flow import (
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 
-FILE: Path = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
-MACHINE: Machine = parse_machine(FILE.read_text(encoding="utf-8"))
+MACHINE: Machine = parse_machine(MACHINE_FILE.read_text(encoding="utf-8"))
 ORIGIN_DEG = (52.0, 11.0)
 START_NS = 1_000_000_000_000
 STEP = 0.02  # s

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from kinematic_drive import FILE, MACHINE
+from kinematic_drive import MACHINE
+from paths import MACHINE_FILE
 
 from tilth.analysis.calibration.machine_text import difference, from_to, rewritten, unfilled
 from tilth.estimator.calibration.changes import CHANGES, Changes, applied, linkage_of
@@ -11,7 +12,7 @@ from tilth.estimator.calibration.sought_numbers import SOUGHT
 from tilth.replay.wheel_by_way import WheelWord, reading_as
 from tilth.schemas.machine_toml import parse_machine
 
-TEXT = FILE.read_text(encoding="utf-8")
+TEXT = MACHINE_FILE.read_text(encoding="utf-8")
 SAME = {mount.value: mount.value for mount in MOUNTS}
 
 

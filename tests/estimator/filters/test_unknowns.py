@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from contributing import DIFFS, changed
 from logs import MACHINE
-from paths import ROOT, SUPPORT
+from paths import MACHINE_FILE, ROOT, SUPPORT
 
 from tilth.deploy import codes_page, wire_page
 from tilth.estimator.filters import unknowns
@@ -64,7 +64,7 @@ def test_a_parameter_stays_above_its_least_value_and_has_no_slope_there() -> Non
 
 def _run(*words: object, path: Path | None = None) -> dict[str, list[list[float]]]:
     environment = os.environ | ({} if path is None else {"PYTHONPATH": str(path)})
-    machine = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
+    machine = MACHINE_FILE
     script = [sys.executable, str(SUPPORT / "short_run.py"), str(machine), *map(str, words)]
     found: dict[str, list[list[float]]] = json.loads(
         subprocess.run(script, env=environment, capture_output=True, check=True, text=True).stdout

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from linear_tyres import linear_tyres
 from loaded_rig import loaded
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.estimator.models.parameters import (
     GEOMETRY,
@@ -22,8 +22,6 @@ from tilth.estimator.models.parameters import (
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine_toml import parse_machine
 
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
-
 
 @pytest.mark.parametrize("row", RIG_PARAMETERS, ids=lambda row: row.name)
 def test_each_row_is_complete_and_its_default_allowed(row: Parameter) -> None:
@@ -36,7 +34,7 @@ def test_each_row_is_complete_and_its_default_allowed(row: Parameter) -> None:
 
 
 def test_the_packaged_machine_is_table_7_2() -> None:
-    rig = rig_of(parse_machine(MACHINE.read_text()))
+    rig = rig_of(parse_machine(MACHINE_FILE.read_text()))
     assert rig == TABLE_7_2
     assert rig.geometry.tolist() == [getattr(TABLE_7_2, name) for name in GEOMETRY]
     assert rig.theta.tolist() == [getattr(TABLE_7_2, name) for name in PARAMETERS]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paths import ROOT, SHARED
+from paths import MACHINE_FILE, SHARED
 
 from tilth.estimator.models.relaxation import (
     GEOMETRY,
@@ -21,7 +21,6 @@ from tilth.estimator.models.relaxation import (
 from tilth.schemas.machine_toml import parse_machine
 
 REFERENCE = SHARED / "reference" / "model_values.json"
-MACHINE = ROOT / "deploy" / "machines" / "jd7930-parker500.toml"
 
 needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="the reference values are not here")
 
@@ -175,7 +174,7 @@ def test_on_a_side_slope_the_tyres_carry_the_weight() -> None:
 
 
 def test_geometry_of_the_packaged_machine() -> None:
-    geometry = geometry_of(parse_machine(MACHINE.read_text()))
+    geometry = geometry_of(parse_machine(MACHINE_FILE.read_text()))
     np.testing.assert_array_equal(geometry, RIG)
     assert len(GEOMETRY) == len(geometry) == len(STATES)
     assert len(INPUTS) == 3
