@@ -17,7 +17,7 @@ from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Accepted, Carried
 from tilth.schemas.machine import Machine
 
-VERSION: Final = 32
+VERSION: Final = 33
 """Version of the text. Raise it by one with every change of the contents or of their meaning."""
 
 
