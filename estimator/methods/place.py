@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from tilth.estimator.filters import soil_field, unknowns
 from tilth.estimator.filters.soil_field import (
@@ -337,11 +338,11 @@ def merged_nearest(
     old = windows[:-1]
     epochs = np.array([w.epoch for w in old])
     methods = np.array([(w.method, str(_is_of_rows(w, rows_ns))) for w in old])
-    ways = np.array([w.path[:, 1] for w in old])
-    north, east = np.moveaxis(ways, 2, 0)
-    squared = (north[:, :, None, None] - north) ** 2 + (east[:, :, None, None] - east) ** 2
+    places = np.array([w.path[:, 1] for w in old]).transpose(1, 0, 2)
+    points, count = places.shape[:2]
+    squared = cdist(places.reshape(-1, 2), places.reshape(-1, 2), "sqeuclidean")
     # How far ways are from each other: each place to the nearest of the other.
-    nearest = np.sqrt(squared.min(axis=3)).mean(axis=1)
+    nearest = np.sqrt(squared.reshape(points, count, points, count).min(axis=2)).mean(axis=0)
     apart = np.maximum(nearest, nearest.T)
     apart[epochs[:, None] != epochs] += np.max(apart) + 1.0
     apart[np.any(methods[:, None] != methods, axis=2) | np.tri(len(old), dtype=bool)] = np.inf
