@@ -103,8 +103,8 @@ class Fit:
     tie: bool  # as fitted.Fit
     refused: Code | None  # why it must not be used
     told: Told | None = None  # what the block alone tells of the six
-    pieces: tuple[ToldPiece, ...] = ()  # and what pieces of its rows tell; together the same
     of_file: Misfit | None = None  # what all rows so far tell of the machine file
+    pieces: tuple[ToldPiece, ...] = ()  # what pieces of the rows tell; together as `told`
 
 
 @dataclass(slots=True)
@@ -187,7 +187,8 @@ def fit(machine: Machine, job: Job) -> Fit:
     of_file = None if refused else open_tracker.of_fit(machine, found.mean, found.covariance, prior(machine))
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
-        tie, refused, alone, _by_piece(job.rows, alone, found.pieces) if alone else (), of_file,
+        tie, refused, alone, of_file,
+        _by_piece(job.rows, alone, found.pieces) if alone else (),
     )  # fmt: skip
 
 

@@ -157,7 +157,7 @@ def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left
     told = Told(100.0 * np.eye(6), np.zeros(6), np.zeros(6))
     job = rows.Job(row.end_ns, row.end_ns, [row], True, mean, known)
     pieces = (rows.ToldPiece(row.t_ns, row.end_ns, told),)
-    made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told, pieces)
+    made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told, pieces=pieces)
     if first == "rows":
         place.learn(state, job, made)
     fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
@@ -179,7 +179,7 @@ def test_pieces_of_a_block_are_told_again_with_it_and_lose_nothing() -> None:
         begins = [record.t_ns + 10 * S * k for record in records for k in range(8)]
         pieces = tuple(rows.ToldPiece(begin_ns, begin_ns + 10 * S, told) for begin_ns in begins)
         job = rows.Job(records[-1].end_ns, records[-1].end_ns, records, last == 8, mean, known)
-        made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told, pieces)
+        made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told, pieces=pieces)
         place.learn(state, job, made)
         assert len(state.windows) <= PLACE.most_windows
         total = sum(window.told.information[0, 0] for window in state.windows)
