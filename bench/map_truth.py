@@ -1,10 +1,11 @@
 """Does a map say something true? Simulated fields, driven, identified and mapped as a user does.
 
-    python bench/map_truth.py FOLDER [--count 2] [--minutes 20]
+    python bench/map_truth.py FOLDER [--count 2] [--first 0] [--minutes 20] [--autosteer pid]
 
 Field k has two soils, with all stiffnesses 45 % lower beyond a line, which lies along the rows in even fields
 and across them in odd ones, and a wet hollow, a strip of 40 m across the rows where they are 40 % lower. The
-same drive on one soil is its twin. Counted are numbers of cells whose 95 % interval has the truth of the
+same drive on one soil is its twin. In the rows a regulator steers that only answers the ground, so they tell
+nothing, or an autosteer. Counted are numbers of cells whose 95 % interval has the truth of the
 middle of the cell, and how far the map's boundary of the two soils is from the true one. Logs and seasons
 are kept in FOLDER; what is there is not made again.
 """
@@ -26,7 +27,7 @@ from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.spread import WITHIN
 from tilth.simulator.fleet_files import owners_text, true_machine
 from tilth.simulator.ground import share
-from tilth.simulator.scenario import Fieldwork, Parameter, Scenario, SoilChange, as_json
+from tilth.simulator.scenario import Autosteer, Fieldwork, Parameter, Scenario, SoilChange, as_json
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
 Array = NDArray[np.float64]
@@ -34,6 +35,7 @@ FIRM: Final = 0.55  # of the stiffnesses of the other soil
 WET: Final = 0.6
 C: Final[tuple[Parameter, ...]] = ("C_af", "C_ar", "C_ai")
 BESIDE_M: Final = 40.0  # from the boundary, along which it is looked for
+STEP_M: Final = 0.5  # to which the true one is found
 
 
 def changes(k: int) -> tuple[SoilChange, ...]:
@@ -47,14 +49,17 @@ def changes(k: int) -> tuple[SoilChange, ...]:
     )
 
 
-def made(folder: Path, k: int, minutes: float, one_soil: bool) -> tuple[Path, Scenario]:
+def made(
+    folder: Path, k: int, minutes: float, one_soil: bool, autosteer: Any = None
+) -> tuple[Path, Scenario]:
     """A folder with the log of a drive, and its scenario."""
     rig = rig_of(0, True)
     asked = scenario_for(rig, k, k, minutes)
     soil = replace(asked.soil, patch_log_sd=0.0, patch_seed=None, changes=() if one_soil else changes(k))
     assert isinstance(asked.steering, Fieldwork)
-    scenario = replace(asked, soil=soil, steering=replace(asked.steering, length=140.0))
-    logs = folder / f"field{k}{'-one' if one_soil else ''}"
+    steering = replace(asked.steering, length=140.0, autosteer=Autosteer(autosteer) if autosteer else None)
+    scenario = replace(asked, soil=soil, steering=steering)
+    logs = folder / "-".join([f"field{k}", *filter(None, [autosteer, "one" if one_soil else ""])])
     log = logs / "day.mcap"
     if not log.exists():
         logs.mkdir(parents=True, exist_ok=True)
@@ -67,37 +72,40 @@ def made(folder: Path, k: int, minutes: float, one_soil: bool) -> tuple[Path, Sc
     return logs, scenario
 
 
-def truth_at(scenario: Scenario, found: MappedField) -> Array:
-    """Logarithms of the stiffnesses in the middles of the cells, (n, 3)."""
+def truth_at(scenario: Scenario, found: MappedField, places: Array) -> Array:
+    """Logarithms of the stiffnesses at places, (n, 2), of the map's plane: (n, 3)."""
     usual = scenario.soil.parameters
     assert usual is not None
-    middle = found.grid + found.cell_m / 2.0
-    places = np.array([
+    moved = np.array([
         to_plane(scenario.origin_deg, *to_degrees(found.origin_deg, north, east))
-        for north, east in middle.tolist()
+        for north, east in places.tolist()
     ])  # fmt: skip
-    axles = np.repeat(places[:, None], 3, axis=1)
+    axles = np.repeat(moved[:, None], 3, axis=1)
     log = np.tile(np.log([usual[name] for name in C]), (len(places), 1))
     for change in scenario.soil.changes:
         log += share(change, 0.0, axles) * np.log([getattr(change, name) for name in C])
     return log
 
 
-def boundary_off(scenario: Scenario, found: MappedField, true: Array) -> list[float]:
+def boundary_off(scenario: Scenario, found: MappedField) -> list[float]:
     """How far from the true boundary the map's is, line of cells by line of cells across it, m; inf where
     the map shows none there."""
     edge = scenario.soil.changes[0]
     axis = 1 if edge.towards_deg == 90.0 else 0  # along which it is crossed
-    logs, truth = found.mean.mean(axis=1), true.mean(axis=1)
-    off = []
+    logs, off = found.mean.mean(axis=1), list[float]()
     for along in np.unique(found.grid[:, 1 - axis]):
         line = np.flatnonzero((found.grid[:, 1 - axis] == along) & np.isfinite(logs))
         line = line[np.argsort(found.grid[line, axis])]
-        steps = np.flatnonzero(np.abs(np.diff(truth[line])) > 0.5 * abs(math.log(FIRM)))
-        if not len(steps):
+        if not len(line):
             continue
         at = found.grid[line, axis] + found.cell_m / 2.0
-        true_at = (at[steps[0]] + at[steps[0] + 1]) / 2.0
+        fine = np.full((int(np.ptp(at) / STEP_M) + 1, 2), along + found.cell_m / 2.0)
+        fine[:, axis] = at[0] + STEP_M * np.arange(len(fine))
+        truth = truth_at(replace(scenario, soil=replace(scenario.soil, changes=(edge,))), found, fine)[:, 0]
+        inside = truth < (truth.max() + truth.min()) / 2.0
+        if np.ptp(truth) < 0.5 * abs(math.log(FIRM)):
+            continue
+        true_at = float(fine[np.argmax(inside), axis])
         near = np.abs(at - true_at) <= BESIDE_M
         at, value = at[near], logs[line][near]
         if len(at) < 4:
@@ -114,7 +122,7 @@ def boundary_off(scenario: Scenario, found: MappedField, true: Array) -> list[fl
 
 
 def told(name: str, scenario: Scenario, found: MappedField) -> str:
-    true = truth_at(scenario, found)
+    true = truth_at(scenario, found, found.grid + found.cell_m / 2.0)
     off, has = found.mean - true, np.isfinite(found.mean)
     inside = (np.abs(off) <= WITHIN * found.sd)[has]
     text = (
@@ -130,7 +138,7 @@ def told(name: str, scenario: Scenario, found: MappedField) -> str:
     spread = np.nanmax(np.abs(found.mean - np.nanmean(found.mean, axis=0)) / found.sd)
     text += f"; largest difference from its mean {spread:.1f} sd, soil changed {len(found.changed)} times"
     if scenario.soil.changes:
-        edge = np.array(boundary_off(scenario, found, true))
+        edge = np.array(boundary_off(scenario, found))
         shown = np.abs(edge[np.isfinite(edge)])
         text += (
             f"; boundary shown in {len(shown)} of {len(edge)} lines, within 5 m in {np.sum(shown <= 5.0)}, "
@@ -143,11 +151,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--count", type=int, default=2, help="fields")
+    parser.add_argument("--first", type=int, default=0, help="number of the first field")
+    parser.add_argument("--autosteer", help="make: pid, valve, pursuit")
     parser.add_argument("--minutes", type=float, default=20.0, help="of each drive")
     args = parser.parse_args()
-    for k in range(args.count):
+    for k in range(args.first, args.first + args.count):
         for one_soil in (False, True):
-            logs, scenario = made(args.folder, k, args.minutes, one_soil)
+            logs, scenario = made(args.folder, k, args.minutes, one_soil, args.autosteer)
             out = args.folder / f"{logs.name}-season"
             identify(logs, out, "--workers", "1")
             try:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tilth.analysis.runs.kept import packed
-from tilth.estimator.filters.soil_field import SoilWindow
+from tilth.estimator.filters.soil_field import SoilWindow, Told
 from tilth.estimator.fold import RECOMMENDED, State
 from tilth.estimator.methods import place
 from tilth.estimator.methods.place import PlaceState
@@ -65,12 +65,13 @@ class Stretch:
     metres: float  # from the end of the stretch before to its own
     speed: float  # mean, m/s
     wheel_rms: float  # of the wheel angle, rad
-    path_deg: Array  # (points, 2), latitude and longitude
+    path_deg: Array  # (points, 2), latitude and longitude; of pieces of rows one after the other
     information: Array  # (6, 6), of the six logarithms, by this stretch alone
     vector: Array  # (6,), information @ (what it says, less the prior's mean)
     model_sd: Array  # (6,), of errors of the model
     changed: bool = False  # it contradicts what was known before it
     refused: Code | None = None  # why nothing is learned of it
+    pieces: tuple[Told, ...] = ()  # what pieces of it tell, each of an equal part of path_deg; together as it
     by_file: Array | None = None  # (6, 6): what errors that may still be in the machine file add, if known
 
 
@@ -146,7 +147,7 @@ class _HeardFits:
     before, and no second of driving is told of twice, as in the memory by place."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple[SoilWindow | None, Stretch]] = []
+        self._kept: list[tuple[list[SoilWindow], Stretch]] = []
 
     @property
     def stretches(self) -> list[Stretch]:
@@ -158,22 +159,22 @@ class _HeardFits:
         if memory is None or job is None or made is None or not hasattr(made, "told"):
             return
         self._forget_reset(memory)
-        records, window = place.records_of(job), place.window_of(memory, job, made)
+        records, windows = place.records_of(job), place.windows_of(memory, job, made)
         again = (method, records[0].t_ns)
-        self._kept = [(w, one) for w, one in self._kept if (one.method, one.begin_ns) != again]
-        if window is not None and made.refused is None:
-            stay = place.beside(self._windows, window, place.in_rows(memory, window, records))
+        self._kept = [(of, one) for of, one in self._kept if (one.method, one.begin_ns) != again]
+        if windows and made.refused is None:
+            stay = place.beside(self._windows, windows[0], place.in_rows(memory, windows[0], records))
             if stay is None:
                 return  # this driving is told of already
             still = {id(w) for w in stay}
-            self._kept = [(w, one) for w, one in self._kept if w is None or id(w) in still]
+            self._kept = [(of, one) for of, one in self._kept if not of or id(of[0]) in still]
         elif made.refused is None:
             return  # nobody knows where it was
-        self._kept.append((window, self._stretch(memory, method, records, window, made)))
+        self._kept.append((windows, self._stretch(memory, method, records, windows, made)))
 
     @property
     def _windows(self) -> list[SoilWindow]:
-        return [window for window, _ in self._kept if window is not None]
+        return [window for windows, _ in self._kept for window in windows]
 
     def _forget_reset(self, memory: PlaceState) -> None:
         """The fold has given up all that was learned by then, since the machine file was wrong."""
@@ -187,21 +188,22 @@ class _HeardFits:
         memory: PlaceState,
         method: str,
         records: Sequence[Record],
-        window: SoilWindow | None,
+        windows: Sequence[SoilWindow],
         made: Any,
     ) -> Stretch:
         ticks = np.concatenate([record.ticks for record in records])
         path = np.zeros((0, 2))
-        if window is not None and memory.origin_deg is not None:
-            places = window.path[:, IMPLEMENT_AXLE].tolist()
+        if windows and memory.origin_deg is not None:
+            places = [place for window in windows for place in window.path[:, IMPLEMENT_AXLE].tolist()]
             path = np.array([to_degrees(memory.origin_deg, x, y) for x, y in places])
-        told = made.told if window is not None else None
+        told = made.told if windows else None
         return Stretch(
             method, records[0].t_ns, records[-1].end_ns, len(ticks) * TICK_NS * 1e-9,
             self._metres(memory, records[-1].end_ns), float(np.mean(ticks[:, U])),
             float(np.sqrt(np.mean(ticks[:, WHEEL_ANGLE] ** 2))), path,
             told.information if told else np.zeros((6, 6)), told.vector if told else np.zeros(6),
             told.model_sd if told else np.zeros(6), bool(made.changed), made.refused,
+            tuple(window.told for window in windows if len(windows) > 1),
         )  # fmt: skip
 
     def _metres(self, memory: PlaceState, end_ns: int) -> float:

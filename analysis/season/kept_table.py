@@ -1,7 +1,7 @@
 """What a season has left in its table, read back: the stretches of one tractor with one implement."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -10,10 +10,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tilth.analysis.season.identified import share_learned
 from tilth.analysis.season.season import TABLE
 from tilth.analysis.season.stretches import STRETCH, DrivenRig
 from tilth.analysis.season.table import FACTS, FORM, MACHINES, require_parquet
+from tilth.estimator.filters import unknowns
 from tilth.estimator.filters.soil_field import AXLES, Told
+from tilth.estimator.filters.unknowns import SIX
 from tilth.logger.clock import utc_text
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import command
@@ -24,7 +27,8 @@ Array = NDArray[np.float64]
 
 _COLUMNS: Final = (
     "kind", "machine", "implement", "rig_sha256", "run", "log", "method", "latitude_deg", "longitude_deg",
-    *(f"{name}_informed" for name in PARAMETERS[:AXLES]), "alone_C_af", "information", "vector", "model_sd",
+    "alone_C_af", "information", "vector", "pieces_information",
+    "pieces_vector", "model_sd",
     "by_file", "together", "logs_sha256", "machine_sha256",
 )  # fmt: skip
 _TIMES: Final = ("begin_utc", "end_utc")
@@ -91,7 +95,9 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
         parsed = parse_machine(*text)
     except MachineError as error:
         raise MapProblem(f"{out / TABLE}: the machine file of {rig.machine}: {error}") from None
-    return RigStretches(rig.machine, rig.implement, parsed, tuple(map(_stretch, placed)), tuple(left_out))
+    return RigStretches(
+        rig.machine, rig.implement, parsed, tuple(_stretches(placed, parsed)), tuple(left_out)
+    )
 
 
 def _read(out: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -149,16 +155,26 @@ def _has_place(row: Mapping[str, Any]) -> bool:
     return bool(path.size and np.all(np.abs(path) <= [[90.0], [180.0]]))
 
 
-def _stretch(row: Mapping[str, Any]) -> PlacedStretch:
-    path = np.stack([row["latitude_deg"], row["longitude_deg"]], axis=1)
-    told = Told(np.reshape(row["information"], (6, 6)), np.array(row["vector"]), np.array(row["model_sd"]))
-    by_file = np.reshape(row["by_file"], (6, 6))
-    properties = {
-        **{f"{name}_informed": row[f"{name}_informed"] for name in PARAMETERS[:AXLES]},
-        **{name: row[name] and utc_text(row[name]) for name in _TIMES},
-        **{name: row[name] for name in ("run", "method", "log", "logs_sha256")},
-    }
-    return PlacedStretch(row["run"], row["method"], row["begin_utc"] or 0, path, told, by_file, properties)
+def _stretches(rows: Sequence[Mapping[str, Any]], machine: Machine) -> Iterator[PlacedStretch]:
+    """Of each row, or of each of its pieces."""
+    prior_sd = unknowns.prior(machine)[1][SIX]
+    for row in rows:
+        path = np.stack([row["latitude_deg"], row["longitude_deg"]], axis=1)
+        pieces = "pieces_" if row["pieces_vector"] else ""
+        vectors = np.reshape(row[f"{pieces}vector"], (-1, 6))
+        informations = np.reshape(row[f"{pieces}information"], (-1, 6, 6))
+        model_sd, by_file = np.array(row["model_sd"]), np.reshape(row["by_file"], (6, 6))
+        ways = np.split(path, len(vectors))
+        for information, vector, way in zip(informations, vectors, ways, strict=True):
+            shares = share_learned(information, prior_sd)
+            properties = {
+                **{f"{name}_informed": shares[name] for name in PARAMETERS[:AXLES]},
+                **{name: row[name] and utc_text(row[name]) for name in _TIMES},
+                **{name: row[name] for name in ("run", "method", "log", "logs_sha256")},
+            }
+            told = Told(information, vector, model_sd)
+            begin_ns = row["begin_utc"] or 0
+            yield PlacedStretch(row["run"], row["method"], begin_ns, way, told, by_file, properties)
 
 
 def runs_in(stretches: Sequence[PlacedStretch]) -> list[str]:

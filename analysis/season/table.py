@@ -19,7 +19,7 @@ from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.invocation import installing
 from tilth.schemas.readable import readable
 
-FORM: Final = 3  # of the table; grows when a column changes its meaning, or what is beside them
+FORM: Final = 4  # of the table; grows when a column changes its meaning, or what is beside them
 FACTS, MACHINES = "tilth.season", "tilth.machines"  # keys of the metadata
 TEXT, NUMBER, WHOLE, NUMBERS, TRUTH, UTC = "text", "number", "whole", "numbers", "truth", "utc"
 
@@ -136,6 +136,11 @@ COLUMNS: Final[tuple[RowColumn, ...]] = (
            _of_stretch(lambda one: one.information.ravel().tolist())),
     RowColumn("vector", NUMBERS, "1", "information times (what it says less the machine file's logarithm)",
            _of_stretch(lambda one: one.vector.tolist())),
+    RowColumn("pieces_information", NUMBERS, "1", "the same of pieces of the path, in order, each of "
+           "as many of its points; empty: it is one piece",
+           _of_stretch(lambda one: [x for told in one.pieces for x in told.information.ravel().tolist()])),
+    RowColumn("pieces_vector", NUMBERS, "1", "the same of these pieces",
+           _of_stretch(lambda one: [x for told in one.pieces for x in told.vector.tolist()])),
     RowColumn("model_sd", NUMBERS, "1", "of the logarithms, errors of the model, as in other stretches",
            _of_stretch(lambda one: one.model_sd.tolist())),
     RowColumn("by_file", NUMBERS, "1", "of the logarithms, what errors that may still be in the machine file "

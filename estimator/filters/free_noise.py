@@ -102,6 +102,29 @@ def gradient_and_information(noise: FreeNoise, stretches: Sequence[Array]) -> tu
 
     stretches: slopes of the innovations, (n_i, c, a) each.
     """
+    psi, weight = _white_slopes(noise, stretches)
+    unknowns = psi.shape[2]
+    flat = psi.reshape(-1, unknowns)
+    shared = noise.past.T @ psi.reshape(len(psi), -1)
+    explained = (noise.inverse @ shared).reshape(-1, unknowns)
+    return (noise.rest @ weight).ravel() @ flat, flat.T @ flat - explained.T @ explained
+
+
+def of_pieces(noise: FreeNoise, stretches: Sequence[Array], pieces: Sequence[slice]) -> tuple[Array, Array]:
+    """The same of each piece, (k, a) and (k, a, a), by what the past of all cannot explain. pieces: of the
+    epochs of all stretches but the first `order` of each."""
+    psi, weight = _white_slopes(noise, stretches)
+    n, _, unknowns = psi.shape
+    seen = noise.inverse.T @ (noise.inverse @ (noise.past.T @ psi.reshape(n, -1)))
+    own = psi - (noise.past @ seen).reshape(psi.shape)
+    rest, flat = noise.rest @ weight, [own[piece].reshape(-1, unknowns) for piece in pieces]
+    gradients = [rest[piece].ravel() @ each for piece, each in zip(pieces, flat, strict=True)]
+    return np.array(gradients), np.array([each.T @ each for each in flat])
+
+
+def _white_slopes(noise: FreeNoise, stretches: Sequence[Array]) -> tuple[Array, Array]:
+    """(slopes of the rest (n, c, a), of outputs that are independent and of variance 1; by which weights
+    (c, c) the rest becomes so)."""
     order, outputs, unknowns = noise.order, stretches[0].shape[1], stretches[0].shape[2]
     weight = np.linalg.cholesky(np.linalg.inv(noise.covariance))
     of_lags = noise.coefficients.reshape(order, outputs, outputs)[::-1].reshape(-1, outputs)  # oldest first
@@ -114,8 +137,4 @@ def gradient_and_information(noise: FreeNoise, stretches: Sequence[Array]) -> tu
             each, (len(each) - order, size, unknowns), (by_epoch, unknowns * by_unknown, by_unknown)
         )
         parts.append(np.matmul(whitening, windows))
-    psi = np.concatenate(parts)  # (n, c, a)
-    flat = psi.reshape(-1, unknowns)
-    shared = noise.past.T @ psi.reshape(len(psi), -1)
-    explained = (noise.inverse @ shared).reshape(-1, unknowns)
-    return (noise.rest @ weight).ravel() @ flat, flat.T @ flat - explained.T @ explained
+    return np.concatenate(parts), weight

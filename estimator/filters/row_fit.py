@@ -10,13 +10,14 @@ prior's, and the steering answers the ground, the first one leaves more than its
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tilth.estimator.filters import likelihood
-from tilth.estimator.filters.free_noise import FreeNoise, gradient_and_information, regress
+from tilth.estimator.filters.free_noise import FreeNoise, gradient_and_information, of_pieces, regress
 from tilth.estimator.filters.newton import newton_step
 from tilth.estimator.filters.plain_row import OUTPUTS, PLAIN_ROW, PlainRow, plain_row
 from tilth.estimator.filters.rig_setup import RigSetup
@@ -72,9 +73,21 @@ class RowFitTuning:
         4, "runs", "at most: the first at the prior's point, each other where a search ended"
     )
     same_place: float = tuned(0.3, "sd", "of the six, by which two searches in a row end apart at most")
+    piece_m: float = tuned(40.0, "m", "of a row at most, of which it is told apart what it tells")
 
 
 ROW_FIT: Final = RowFitTuning()
+
+
+class RowPiece(NamedTuple):
+    """What a piece of a row tells of the six at the end of the fit, all but its zero as the fit has found
+    it."""
+
+    row: int  # number of its row
+    begin_s: float  # since the row began
+    end_s: float
+    gradient: Array  # (6,), of the log-likelihood
+    information: Array  # (6, 6)
 
 
 class RowPosterior(NamedTuple):
@@ -89,6 +102,7 @@ class RowPosterior(NamedTuple):
     own_share: float  # of the wheel angle's variance that the past of what was measured does not explain
     cost: float  # per epoch
     play: float  # rad, half of that of the wheel sensor
+    pieces: tuple[RowPiece, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,8 +346,31 @@ class RowFit:
         return RowPosterior(
             mean, self._covariance(information), steps, converged, len(wheel) * PLAIN_ROW.epoch_s,
             float(np.sqrt(np.mean(wheel**2))), at.noise.share_of_own(wheel),
-            at.cost / len(wheel), float(at.own[-len(OF_ROWS)]),
+            at.cost / len(wheel), float(at.own[-len(OF_ROWS)]), self._pieces(at),
         )  # fmt: skip
+
+    def _pieces(self, at: RowPoint) -> tuple[RowPiece, ...]:
+        """What pieces of all rows tell, each with a zero of its own."""
+        settled, row_ends, found = self.skip + self.order, 0, list[RowPiece]()
+        six, a = np.flatnonzero(self.active < 6), len(self.active)
+        slopes = [S[:, :, [*six, a + k]] for k, S in enumerate(at.slopes)]
+        spans = list[tuple[int, int, slice]]()  # row, its first epoch that is used, epochs of all
+        for k, row in enumerate(self.rows):
+            begins, row_ends = row_ends, row_ends + row.epochs - settled
+            metres = (row_ends - begins) * PLAIN_ROW.epoch_s * float(np.mean(row.whitened.ticks[:, U]))
+            count = math.ceil(metres / ROW_FIT.piece_m)
+            ends = np.linspace(begins, row_ends, count + 1).round().astype(int).tolist()
+            spans += [(k, begins, slice(*two)) for two in pairwise(ends)]
+        gradients, told = of_pieces(at.noise, slopes, [span for _, _, span in spans])
+        for (k, begins, span), gradient, each in zip(spans, gradients, told, strict=True):
+            by_zero = each[:-1, -1] / (each[-1, -1] + ROW_FIT.zero_sd**-2.0)
+            score, information = np.zeros(6), np.zeros((6, 6))
+            score[self.active[six]] = by_zero * gradient[-1] - gradient[:-1]
+            at_six = np.ix_(self.active[six], self.active[six])
+            information[at_six] = each[:-1, :-1] - np.outer(by_zero, each[-1, :-1])
+            begin_s, end_s = (PLAIN_ROW.epoch_s * (settled + e - begins) for e in (span.start, span.stop))
+            found.append(RowPiece(k, begin_s, end_s, score, information))
+        return tuple(found)
 
 
 def fitted(records: Sequence[Record], setup: RigSetup, mean: Array, covariance: Array) -> RowPosterior | None:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from tilth.estimator.filters import soil_field, unknowns
 from tilth.estimator.filters.soil_field import (
@@ -199,17 +200,24 @@ def records_of(job: Any) -> list[Record]:
     return job.rows if isinstance(job, rows.Job) else [job.record]
 
 
-def window_of(state: PlaceState, job: Any, made: Any) -> SoilWindow | None:
-    """What another method's fit has told, and where; None where it told nothing, or nobody knows where."""
+def windows_of(state: PlaceState, job: Any, made: Any) -> list[SoilWindow]:
+    """What another method's fit has told, and where: one of a window of pem, one for each piece of a row.
+    None of what nobody knows where it was."""
     if not isinstance(made, pem.Fit | rows.Fit) or made.told is None:
-        return None
-    records, method = records_of(job), rows.METHOD if isinstance(made, rows.Fit) else pem.METHOD
-    within = [p for p in state.track if any(r.t_ns <= p.t_ns <= r.end_ns for r in records)]
-    if not within:
-        return None
-    shares = np.mean([p.worked for p in within], axis=0)
-    path = _evenly(np.array([p.axles for p in within]))
-    return SoilWindow(method, records[0].t_ns, state.passing, path, made.told, worked=shares)
+        return []
+    if isinstance(made, rows.Fit):
+        method, pieces = rows.METHOD, made.pieces
+    else:
+        record = job.record
+        method, pieces = pem.METHOD, (rows.ToldPiece(record.t_ns, record.end_ns, made.told),)
+    windows = []
+    for piece in pieces:
+        within = [p for p in state.track if piece.begin_ns <= p.t_ns <= piece.end_ns]
+        if within:
+            shares = np.mean([p.worked for p in within], axis=0)
+            path = _evenly(np.array([p.axles for p in within]))
+            windows.append(SoilWindow(method, piece.begin_ns, state.passing, path, piece.told, worked=shares))
+    return windows
 
 
 def in_rows(state: PlaceState, window: SoilWindow, records: Sequence[Record]) -> list[tuple[int, int]]:
@@ -222,38 +230,51 @@ def in_rows(state: PlaceState, window: SoilWindow, records: Sequence[Record]) ->
 def beside(
     windows: Sequence[SoilWindow], window: SoilWindow, rows_ns: Sequence[tuple[int, int]]
 ) -> list[SoilWindow] | None:
-    """Those that stay beside a window; None where it is left out itself. A second of driving informs the six
-    once: in a row by `rows`, whichever of the two is told first. rows_ns: as of in_rows."""
-    method, begin_ns = window.method, window.begin_ns
-    kept = [w for w in windows if (w.method, w.begin_ns) != (method, begin_ns)]  # a block, fitted again
-    if method == rows.METHOD:
-        return [w for w in kept if w.method == method or not _begins_in(w.begin_ns, rows_ns)]
-    return None if _begins_in(begin_ns, rows_ns) else kept
+    """Those that stay beside a window, the first of a fit; None where it is left out itself. A second of
+    driving informs the six once: in a row by `rows`, whichever of the two is told first. rows_ns: as of
+    in_rows."""
+    if window.method != rows.METHOD:
+        again = window.method, window.begin_ns
+        kept = [w for w in windows if (w.method, w.begin_ns) != again]
+        return None if _begins_in(window.begin_ns, rows_ns) else kept
+
+    def told_again(w: SoilWindow) -> bool:
+        return _is_of_rows(w, rows_ns) or (w.method != rows.METHOD and _begins_in(w.begin_ns, rows_ns))
+
+    return [w for w in windows if not told_again(w)]
+
+
+def _is_of_rows(window: SoilWindow, rows_ns: Sequence[tuple[int, int]]) -> bool:
+    """Whether it is a piece of these rows, which are fitted again with more of them."""
+    return window.method == rows.METHOD and any(begin <= window.begin_ns < end for begin, end in rows_ns)
 
 
 def learn(state: PlaceState, job: Any, made: Any) -> bool:
     """Take what another method's fit has told. Returns whether a change of soil that it found was foreseen:
     it is no more than the memory expected of the place."""
-    window = window_of(state, job, made)
-    if window is None:
+    windows = windows_of(state, job, made)
+    if not windows:
         return False
     records = records_of(job)
-    state.rows_ns = in_rows(state, window, records)
-    kept = beside(state.windows, window, state.rows_ns)
+    state.rows_ns = in_rows(state, windows[0], records)
+    kept = beside(state.windows, windows[0], state.rows_ns)
     if kept is None:
         return False
     before = _soil(state) if len(kept) == len(state.windows) else SoilMemory(kept, state.prior_sd)
-    window = replace(window, epoch=kept[-1].epoch if kept else 0)
-    after = SoilMemory([*kept, window], state.prior_sd)
+    epoch = kept[-1].epoch if kept else 0
+    windows = [replace(window, epoch=epoch) for window in windows]
+    after = SoilMemory([*kept, *windows], state.prior_sd)
+    window = replace(windows[0], told=made.told, path=np.concatenate([one.path for one in windows]))
     likely, of_pem = before.surprise(after), isinstance(made, pem.Fit) and made.changed
     foreseen = bool(kept) and exceeds(likely, PLACE.doubted) and _expects_change(state, kept, window)
     if exceeds(PLACE.unexpected, likely):
         if not of_pem:  # else it is told by pem
             state.events.append((EventKind.SOIL_CHANGE, _changed(before, window)))
-        after = SoilMemory([*kept, replace(window, epoch=window.epoch + 1)], state.prior_sd)
+        windows = [replace(one, epoch=epoch + 1) for one in windows]
+        after = SoilMemory([*kept, *windows], state.prior_sd)
     state.windows, state.soil = list(after.windows), after
-    if len(state.windows) > PLACE.most_windows:
-        state.windows = merged_nearest(state.windows)
+    while len(state.windows) > PLACE.most_windows:
+        state.windows = merged_nearest(state.windows, state.rows_ns)
     state.informed_ns = job.closed_ns
     state.window_s += sum(len(record.ticks) for record in records) * DT
     return foreseen
@@ -308,19 +329,23 @@ def _evenly(path: Array) -> Array:
     return path[np.linspace(0, len(path) - 1, SOIL_FIELD.points).round().astype(np.int64)]
 
 
-def merged_nearest(windows: Sequence[SoilWindow]) -> list[SoilWindow]:
+def merged_nearest(
+    windows: Sequence[SoilWindow], rows_ns: Sequence[tuple[int, int]] = ()
+) -> list[SoilWindow]:
     """Of two windows of a method that were nearest to each other, one; of before and after a change in time
-    only where there are no others. The last one stays."""
+    only where there are no others. The last one stays. rows_ns: pieces of these rows only with each other,
+    since a later fit tells all of them again."""
     old = windows[:-1]
     epochs = np.array([w.epoch for w in old])
-    methods, ways = np.array([w.method for w in old]), np.array([w.path[:, 1] for w in old])
-    north, east = np.moveaxis(ways, 2, 0)
-    squared = (north[:, :, None, None] - north) ** 2 + (east[:, :, None, None] - east) ** 2
+    methods = np.array([(w.method, str(_is_of_rows(w, rows_ns))) for w in old])
+    places = np.array([w.path[:, 1] for w in old]).transpose(1, 0, 2)
+    points, count = places.shape[:2]
+    squared = cdist(places.reshape(-1, 2), places.reshape(-1, 2), "sqeuclidean")
     # How far ways are from each other: each place to the nearest of the other.
-    nearest = np.sqrt(squared.min(axis=3)).mean(axis=1)
+    nearest = np.sqrt(squared.reshape(points, count, points, count).min(axis=2)).mean(axis=0)
     apart = np.maximum(nearest, nearest.T)
     apart[epochs[:, None] != epochs] += np.max(apart) + 1.0
-    apart[(methods[:, None] != methods) | np.tri(len(old), dtype=bool)] = np.inf
+    apart[np.any(methods[:, None] != methods, axis=2) | np.tri(len(old), dtype=bool)] = np.inf
     first, second = divmod(int(np.argmin(apart)), len(old))
     both = soil_field.merged(old[first], old[second])
     return [both if k == second else w for k, w in enumerate(windows) if k != first]

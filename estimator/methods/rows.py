@@ -10,6 +10,7 @@ Steering that only answers the ground tells nothing reliable: as long as its own
 small, a block is not used, and the estimate says so with the share.
 """
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Final
 
@@ -68,6 +69,15 @@ TUNING: Final = RowsTuning()
 
 
 @dataclass(frozen=True, slots=True)
+class ToldPiece:
+    """What a piece of a row tells of the six."""
+
+    begin_ns: int
+    end_ns: int
+    told: Told
+
+
+@dataclass(frozen=True, slots=True)
 class Job:
     """A fit to compute. With the machine file it is all that `fit` needs."""
 
@@ -95,6 +105,7 @@ class Fit:
     refused: Code | None  # why it must not be used
     told: Told | None = None  # what the block alone tells of the six
     of_file: Misfit | None = None  # what all rows so far tell of the machine file; not with a short block
+    pieces: tuple[ToldPiece, ...] = ()  # what pieces of the rows tell; together as `told`
 
 
 @dataclass(slots=True)
@@ -194,6 +205,7 @@ def fit(machine: Machine, job: Job) -> Fit:
     return Fit(
         found.mean, found.covariance, found.own_share, own, found.seconds, found.steps, found.cost, changed,
         tie, refused, alone, of_file,
+        _by_piece(job.rows, alone, found.pieces) if alone else (),
     )  # fmt: skip
 
 
@@ -209,6 +221,39 @@ def _told(mean: Array, covariance: Array, found: row_fit.RowPosterior, prior: tu
     at, added = np.ix_(active, active), np.zeros_like(known)
     added[at] = open_tracker.added(known[at], after[at])
     return told(mean, known, found.mean, added, prior, np.ones(6), np.full(6, TUNING.model_sd))
+
+
+def _by_piece(
+    records: Sequence[Record], whole: Told, pieces: Sequence[row_fit.RowPiece]
+) -> tuple[ToldPiece, ...]:
+    """What a block tells, shared out to pieces of its rows.
+
+    The fit has one value of each of the six for all of them. What a piece says is off that by its gradient
+    there, as far as gradients of all pieces do not cancel (soil_within.py); its information is so much less
+    than by its slopes as the block's is: for what else the block had to find, and where it is widened.
+    """
+    every = np.sum([one.information for one in pieces], axis=0)
+    at = np.flatnonzero(np.diag(every) > 0.0)
+    root = _root(every[np.ix_(at, at)])
+    less = np.zeros((6, 6))
+    less[np.ix_(at, at)] = np.linalg.solve(
+        root, np.linalg.solve(root, _root(root @ whole.information[np.ix_(at, at)] @ root)).T
+    )
+    common = np.linalg.pinv(every, hermitian=True) @ np.sum([one.gradient for one in pieces], axis=0)
+    value = np.linalg.pinv(whole.information, hermitian=True) @ whole.vector
+    told = []
+    for one in pieces:
+        information = less @ one.information @ less.T
+        vector = information @ value + less @ (one.gradient - one.information @ common)
+        begin_ns, end_ns = (records[one.row].t_ns + round(at_s * 1e9) for at_s in (one.begin_s, one.end_s))
+        told.append(ToldPiece(begin_ns, end_ns, Told(information, vector, whole.model_sd)))
+    return tuple(told)
+
+
+def _root(squared: Array) -> Array:
+    """The symmetric square root, (a, a)."""
+    sizes, axes = np.linalg.eigh(squared)
+    return np.asarray((axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T)
 
 
 def _posterior(machine: Machine, job: Job, mean: Array, covariance: Array) -> row_fit.RowPosterior | None:
@@ -234,7 +279,8 @@ def adopt(state: RowsState, machine: Machine, made: Fit | None, t_ns: int) -> Es
     """Adopt the result of the pending job; made: None if there is none. Returns the estimate after it."""
     job, state.job = state.job, None
     made = made if job else None
-    used, state.last = fitted.is_used(state, made), made or state.last
+    used = fitted.is_used(state, made)
+    state.last = replace(made, pieces=()) if made else state.last  # the memory by place has them
     if job is not None and made is not None and used:
         _use(state, job, made)
     ended = job is not None and (job.full or job.closed_ns <= state.ended_ns)

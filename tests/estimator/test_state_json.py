@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tilth.estimator.diagnosis.open_numbers import Misfit
+from tilth.estimator.filters.soil_field import Told
 from tilth.estimator.methods import rows
 from tilth.estimator.state_json import LONGEST_LIST, from_json_data, to_json_data
 
@@ -69,9 +70,14 @@ def test_what_rows_tell_of_the_file_comes_back_as_what_it_was() -> None:
     """Their fit goes through the log's text before it is used: a list in its place made the fold begin
     anew."""
     told = Misfit(3.0, np.ones(2), np.full(2, 0.5), np.ones(3), np.ones(3), np.ones((6, 20)))
-    made = rows.Fit(np.zeros(6), np.eye(6), 0.9, 0.01, 120.0, 4, 1.0, False, False, None, None, told)
+    piece = rows.ToldPiece(1, 2, Told(np.eye(6), np.ones(6), np.zeros(6)))
+    made = rows.Fit(
+        np.zeros(6), np.eye(6), 0.9, 0.01, 120.0, 4, 1.0, False, False, None, None, told, (piece,)
+    )
     back = from_json_data(rows.Fit, json.loads(json.dumps(to_json_data(made))))
     assert isinstance(back.of_file, Misfit)
+    assert (back.pieces[0].begin_ns, back.pieces[0].end_ns) == (1, 2)
+    np.testing.assert_array_equal(back.pieces[0].told.information, piece.told.information)
     for one, other in zip(astuple(back.of_file), astuple(told), strict=True):
         np.testing.assert_array_equal(one, other)
 

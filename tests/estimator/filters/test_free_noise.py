@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tilth.estimator.filters.free_noise import gradient_and_information, regress
+from tilth.estimator.filters.free_noise import gradient_and_information, of_pieces, regress
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,24 @@ def test_gradients_are_those_of_differences(seed: int) -> None:
     differences = [(cost(step) - cost(-step)) / 2e-5 for step in steps]
     np.testing.assert_allclose(gradient, differences, rtol=0.02, atol=0.02 * np.abs(gradient).max())
     assert np.all(np.linalg.eigvalsh(information) > 0.0)
+
+
+def test_pieces_tell_together_what_all_tell_and_apart_what_changed() -> None:
+    """A factor on a response that is another one from the second piece on."""
+    factors = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        e, S = coloured(rng, 900, 2), rng.standard_normal((900, 2, 1))
+        e[ORDER + 300 :] += 0.2 * S[ORDER + 300 :, :, 0]
+        noise, parts = regress([e], ORDER), [slice(k, k + 300) for k in (0, 300, 600)]
+        gradients, informations = of_pieces(noise, [S], [*parts[:2], slice(600, 900 - ORDER)])
+        gradient, information = gradient_and_information(noise, [S])
+        np.testing.assert_allclose(gradients.sum(axis=0), gradient, rtol=0.05)
+        np.testing.assert_allclose(informations.sum(axis=0), information, rtol=0.02)
+        factors.append(gradients[:, 0] / informations[:, 0, 0])
+    sd = np.std(factors, axis=0) / np.sqrt(len(factors))
+    np.testing.assert_allclose(np.mean(factors, axis=0), [0.0, 0.2, 0.2], atol=4.0 * sd.max())
+    assert sd.max() < 0.02
 
 
 @pytest.mark.parametrize("feedback", [False, True])

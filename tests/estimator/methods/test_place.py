@@ -156,13 +156,36 @@ def test_a_second_of_driving_informs_once_in_a_row_by_rows(begins_s: float, left
     mean, known = state.prior_mean, np.diag(state.prior_sd**2)
     told = Told(100.0 * np.eye(6), np.zeros(6), np.zeros(6))
     job = rows.Job(row.end_ns, row.end_ns, [row], True, mean, known)
-    made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told)
+    pieces = (rows.ToldPiece(row.t_ns, row.end_ns, told),)
+    made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told, pieces=pieces)
     if first == "rows":
         place.learn(state, job, made)
     fitted(state, row.t_ns + round(begins_s * S), 14.0, 0.3)
     if first == "pem":
         place.learn(state, job, made)
     assert len(state.windows) == left and any(window.method == rows.METHOD for window in state.windows)
+
+
+def test_pieces_of_a_block_are_told_again_with_it_and_lose_nothing() -> None:
+    """Of a block that is fitted twice, and of the next one, in more pieces than are kept."""
+    state = place.initial(MACHINE)
+    mean, known = state.prior_mean, np.diag(state.prior_sd**2)
+    for k in range(12):
+        drive(state, (10 + 100 * k) * S, 0.0, 6.0 * k, 320.0)
+    row_of = [Record((10 + 100 * k) * S, np.zeros((4000, 8))) for k in range(12)]
+    for first, last in ((0, 3), (0, 8), (8, 12)):
+        records = row_of[first:last]
+        told = Told(np.eye(6), np.zeros(6), np.zeros(6))
+        begins = [record.t_ns + 10 * S * k for record in records for k in range(8)]
+        pieces = tuple(rows.ToldPiece(begin_ns, begin_ns + 10 * S, told) for begin_ns in begins)
+        job = rows.Job(records[-1].end_ns, records[-1].end_ns, records, last == 8, mean, known)
+        made = rows.Fit(mean, known, 0.9, 0.01, 110.0, 5, -6.0, False, False, None, told, pieces=pieces)
+        place.learn(state, job, made)
+        assert len(state.windows) <= PLACE.most_windows
+        total = sum(window.told.information[0, 0] for window in state.windows)
+        assert total == pytest.approx(8 * last)
+    ends = np.array([window.path[:, 1, 0].mean() for window in state.windows])
+    assert np.ptp(ends) > 200.0  # in place
 
 
 def test_it_is_bounded_and_the_nearest_become_one() -> None:

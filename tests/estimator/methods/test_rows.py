@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from circle import demo_machine
 from logs import DATA
+from numpy.typing import NDArray
 from rich.console import Console
 from straight_row import on_a_rut
 
@@ -32,6 +33,8 @@ from tilth.schemas.flow import PARAMETERS, BodyPose, Estimate, Pose, Status
 from tilth.schemas.machine import Quantity
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.reasons import Code, Reason
+
+Array = NDArray[np.float64]
 
 MACHINE = demo_machine()
 S = 1_000_000_000
@@ -271,3 +274,32 @@ def test_two_minutes_of_given_rows_tell_the_six() -> None:
     off = found.mean[:6] - np.log([truth[name] for name in PARAMETERS])
     assert found.refused is None and found.own_share > 0.9
     assert np.all(np.abs(off) < 2.5 * sds) and np.all(sds < (0.2, 0.3, 0.35, 0.3, 0.35, 0.5))
+
+
+@pytest.mark.long
+def test_rows_side_by_side_tell_which_of_them_is_on_softer_soil() -> None:
+    """By turns on usual soil and on half as firm a one, in one block: its value is between, its pieces are
+    not, and together they tell what it tells."""
+    state, contrasts, off = rows.initial(MACHINE), list[float](), list[Array]()
+    weak = np.diag(state.prior_sd[:6] ** -2.0)
+    for seed in range(3):
+        firm = state.prior_mean.copy()
+        firm[:6] += 0.2 * np.random.default_rng(seed).standard_normal(6)
+        soft = firm - 0.5 * (np.arange(len(firm)) < 3)
+        driven = [on_a_rut(45.0, 100 * seed + k, (firm, soft)[k % 2], rig_setup(MACHINE)) for k in range(4)]
+        records = [Record(60 * S * k, row.ticks, row.rows) for k, row in enumerate(driven)]
+        made = rows.fit(MACHINE, Job(0, records[-1].end_ns, records, False, state.mean, state.covariance))
+        assert made.told is not None and len(made.pieces) == 4 * 5  # of 40 m at most
+        for part in ("information", "vector"):
+            total = sum(getattr(piece.told, part) for piece in made.pieces)
+            np.testing.assert_allclose(total, getattr(made.told, part), atol=1e-9 * np.max(np.abs(total)))
+        values = []
+        for true, side in ((firm, 0), (soft, 1)):
+            own = [p.told for p in made.pieces if p.begin_ns // (60 * S) % 2 == side]
+            covariance = np.linalg.inv(np.sum([one.information for one in own], axis=0) + weak)
+            values.append(covariance @ np.sum([one.vector for one in own], axis=0))
+            of_model = np.diag(covariance) + own[0].model_sd ** 2
+            off.append((values[-1] - (true - state.prior_mean)[:6]) / np.sqrt(of_model))
+        contrasts.append(float((values[1] - values[0])[:3].mean()))
+    assert np.mean(contrasts) == pytest.approx(-0.5, abs=0.2)
+    assert np.mean(np.abs(off) < 2.0) >= 0.9
