@@ -59,7 +59,7 @@ def test_shift_and_information_of_a_window_are_weighed_alike(varies: float, colo
     rng = np.random.default_rng(64)
     for _ in range(20):
         prior, information, likeliest = _spread(rng, 7), _spread(rng, 7), rng.normal(size=7)
-        found = np.linalg.inv(np.linalg.inv(prior) + information)
+        found = likelihood.inverse(np.linalg.inv(prior) + information)
         change, covariance = fit_covariance.tempered(
             found @ information @ likeliest, found, prior, varies * information, colour
         )
@@ -74,7 +74,7 @@ def test_scores_of_any_colour_make_nothing_less_known_than_before(size: int) -> 
     rng = np.random.default_rng(size)
     for _ in range(20):
         prior, information, scores = (_spread(rng, size) for _ in range(3))
-        found = np.linalg.inv(np.linalg.inv(prior) + information)
+        found = likelihood.inverse(np.linalg.inv(prior) + information)
         change = found @ information @ rng.normal(size=size)
         less, covariance = fit_covariance.tempered(change, found, prior, 100.0 * scores, 1.2)
         root = np.linalg.inv(np.linalg.cholesky(prior))
