@@ -126,7 +126,7 @@ def _white_slopes(noise: FreeNoise, stretches: Sequence[Array]) -> tuple[Array, 
     """(slopes of the rest (n, c, a), of outputs that are independent and of variance 1; by which weights
     (c, c) the rest becomes so)."""
     order, outputs, unknowns = noise.order, stretches[0].shape[1], stretches[0].shape[2]
-    weight = np.linalg.cholesky(np.linalg.inv(noise.covariance))
+    weight: Array = np.asarray(np.linalg.cholesky(np.linalg.inv(noise.covariance)), np.float64)
     of_lags = noise.coefficients.reshape(order, outputs, outputs)[::-1].reshape(-1, outputs)  # oldest first
     whitening = np.ascontiguousarray((np.concatenate([-of_lags, np.eye(outputs)]) @ weight).T)
     parts = []
