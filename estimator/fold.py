@@ -525,17 +525,17 @@ def adopt(state: State, t_ns: int, method: str, made: Any) -> list[Publication]:
         return out
     ties.begin(t_ns)
     method_state = state.estimators[method]
-    foreseen, learners, known = False, [], state.estimators[place.METHOD].windows
-    if made is not None and method_state.job is not None:
+    job, known = method_state.job, state.estimators[place.METHOD].windows
+    foreseen, learners = False, []
+    if made is not None and job is not None:
         learners = [other for other in rows_for(state.machine) if other.learn is not None]
         for other in learners:
             assert other.learn is not None
-            foreseen |= other.learn(state.estimators[other.method], method_state.job, made)
+            foreseen |= other.learn(state.estimators[other.method], job, made)
         of_file = row.fitting.of_file(made)
         if of_file is not None:
             diagnosis.fit_tells(state.diagnosis, method, *of_file)
-    learns = isinstance(made, pem.Fit) and made.refused is None and method_state.job is not None
-    job = method_state.job
+    learns = isinstance(made, pem.Fit) and made.refused is None and job is not None
     estimate = row.fitting.adopt(method_state, state.machine, made, t_ns)
     if job is not None and implement_load.fitted_after_stop(state, method, job.closed_ns, known):
         estimate = row.estimate(method_state, state.machine, t_ns)

@@ -324,15 +324,13 @@ def main(words: list[str]) -> int:
 
     if not told and (why_anew := kernel_store.lacking()):
         _print(why_anew)
-    # What the process that makes fits cannot compile is compiled later.
-    fits = (
-        [Job(words_of("tilth.logger.fit_worker"), [packed(machine)])]
-        if len(os.sched_getaffinity(0)) > 1
-        else []
-    )
-    prepare(machine, progress)
-    for beside in fits:
-        beside.end()
+    fits: contextlib.AbstractContextManager[Job | None] = contextlib.nullcontext()
+    if len(os.sched_getaffinity(0)) > 1:  # what the process that makes fits cannot compile is compiled later
+        fits = contextlib.closing(Job(words_of("tilth.logger.fit_worker"), [packed(machine)]))
+    with fits as beside:
+        prepare(machine, progress)
+        if beside is not None:
+            beside.end()
     uncompiled = [] if told else rehearsals(machine)
     while uncompiled:
         rehearse(uncompiled)

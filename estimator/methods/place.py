@@ -233,20 +233,11 @@ def beside(
     """Those that stay beside a window, the first of a fit; None where it is left out itself. A second of
     driving informs the six once: in a row by `rows`, whichever of the two is told first. rows_ns: as of
     in_rows."""
-    if window.method != rows.METHOD:
-        again = window.method, window.begin_ns
-        kept = [w for w in windows if (w.method, w.begin_ns) != again]
-        return None if _begins_in(window.begin_ns, rows_ns) else kept
-
-    def told_again(w: SoilWindow) -> bool:
-        return _is_of_rows(w, rows_ns) or (w.method != rows.METHOD and _begins_in(w.begin_ns, rows_ns))
-
-    return [w for w in windows if not told_again(w)]
-
-
-def _is_of_rows(window: SoilWindow, rows_ns: Sequence[tuple[int, int]]) -> bool:
-    """Whether it is a piece of these rows, which are fitted again with more of them."""
-    return window.method == rows.METHOD and any(begin <= window.begin_ns < end for begin, end in rows_ns)
+    if window.method == rows.METHOD:
+        return [w for w in windows if not _is_of(w, rows_ns)]
+    again = window.method, window.begin_ns
+    kept = [w for w in windows if (w.method, w.begin_ns) != again]
+    return None if _is_of(window, rows_ns) else kept
 
 
 def learn(state: PlaceState, job: Any, made: Any) -> bool:
@@ -318,10 +309,11 @@ def _changed(before: SoilMemory, window: SoilWindow) -> Notice:
     return pem.soil_changed(found @ window.told.vector - expected.mean, np.sqrt(variances))
 
 
-def _begins_in(begin_ns: int, rows_ns: Sequence[tuple[int, int]]) -> bool:
-    """Whether a window is of the driving in these rows, and not of the turn behind one, whose windows begin
-    before the wheels turn."""
-    return any(begin <= begin_ns < end - PLACE.lead_ns for begin, end in rows_ns)
+def _is_of(window: SoilWindow, rows_ns: Sequence[tuple[int, int]]) -> bool:
+    """Whether a window is of the driving in these rows: a piece of them, or a window of the same seconds.
+    That of the turn behind a row is not, though it begins before the wheels turn."""
+    lead_ns = 0 if window.method == rows.METHOD else PLACE.lead_ns
+    return any(begin <= window.begin_ns < end - lead_ns for begin, end in rows_ns)
 
 
 def _evenly(path: Array) -> Array:
@@ -337,7 +329,7 @@ def merged_nearest(
     since a later fit tells all of them again."""
     old = windows[:-1]
     epochs = np.array([w.epoch for w in old])
-    methods = np.array([(w.method, str(_is_of_rows(w, rows_ns))) for w in old])
+    kinds = np.array([f"{w.method}, told again: {_is_of(w, rows_ns)}" for w in old])
     places = np.array([w.path[:, 1] for w in old]).transpose(1, 0, 2)
     points, count = places.shape[:2]
     squared = cdist(places.reshape(-1, 2), places.reshape(-1, 2), "sqeuclidean")
@@ -345,7 +337,7 @@ def merged_nearest(
     nearest = np.sqrt(squared.reshape(points, count, points, count).min(axis=2)).mean(axis=0)
     apart = np.maximum(nearest, nearest.T)
     apart[epochs[:, None] != epochs] += np.max(apart) + 1.0
-    apart[np.any(methods[:, None] != methods, axis=2) | np.tri(len(old), dtype=bool)] = np.inf
+    apart[(kinds[:, None] != kinds) | np.tri(len(old), dtype=bool)] = np.inf
     first, second = divmod(int(np.argmin(apart)), len(old))
     both = soil_field.merged(old[first], old[second])
     return [both if k == second else w for k, w in enumerate(windows) if k != first]
