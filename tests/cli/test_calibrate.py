@@ -108,9 +108,9 @@ def _looked(machine: Machine, log: Path) -> _Looked:
 
 
 ONE_SPEED = """
-seconds = 240.0
+seconds = 150.0
 speed = 4.5
-steering = [[12.0, 0.0], [228.0, "random"]]
+steering = [[12.0, 0.0], [138.0, "random"]]
 [soil]
 grip = 0.7
 [ground]
