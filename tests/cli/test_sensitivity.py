@@ -18,11 +18,11 @@ from report_run import write_run
 from tilth.analysis.report.document import ReportFigure
 from tilth.analysis.report.figures import svg
 from tilth.analysis.report.sensitivity_figures import SENSITIVITY_DRAWINGS
-from tilth.analysis.sensitivity import indices_answer
 from tilth.analysis.sensitivity.frequency import TRANSFERS
 from tilth.analysis.sensitivity.local import local_sensitivities, overall
 from tilth.analysis.sensitivity.outputs import NAMES, SIX
 from tilth.analysis.sensitivity.slopes import MACHINE_PARAMETERS
+from tilth.analysis.sensitivity.sobol import POINTS
 from tilth.estimator.models.family import model_named
 from tilth.estimator.models.parameters import TABLE_7_2
 
@@ -37,7 +37,7 @@ def answer(capsys: pytest.CaptureFixture[str]) -> Answer:
 @pytest.fixture
 def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the points from which indices are made; nothing kept from another test."""
-    monkeypatch.setattr(indices_answer, "POINTS", indices_answer.POINTS // 4)
+    monkeypatch.setattr("tilth.analysis.sensitivity.indices_answer.POINTS", POINTS // 4)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
