@@ -41,7 +41,7 @@ def indices_answer(plan: GlobalPlan, outputs: Sequence[str], workers: int | None
     columns = [NAMES.index(name) for name in told]
     with side_by_side(workers or os.cpu_count() or 1, workers) as each:
         ask = partial(_ask, asked, columns, each)
-        found = sobol(ask, inputs)
+        found = sobol(ask, inputs, points=POINTS, scrambles=SCRAMBLES)
         screened = None if inputs.median else (morris(ask, inputs), dgsm(ask, inputs)[0])
     together = found.of_mean([told.index(name) for name in plan.outputs])
     overall = {name: _pair(together, k, 0) for k, name in enumerate(inputs.names)}

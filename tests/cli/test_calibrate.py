@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from calibrated_drive import DRIVE, simulated_drive
-from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT
-from paths import ROOT
+from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT
+from paths import ROOT, shared_files
 
 from tilth.analysis.calibration.machine_text import rewritten
 from tilth.cli import main
@@ -108,9 +108,9 @@ def _looked(machine: Machine, log: Path) -> _Looked:
 
 
 ONE_SPEED = """
-seconds = 240.0
+seconds = 150.0
 speed = 4.5
-steering = [[12.0, 0.0], [228.0, "random"]]
+steering = [[12.0, 0.0], [138.0, "random"]]
 [soil]
 grip = 0.7
 [ground]
@@ -208,7 +208,7 @@ def test_where_nothing_can_be_written_is_said_at_once(
     assert Path("log.mcap").read_bytes() == b"\x89MCAP0\r\n"
 
 
-RECORDED = [path for path in sorted(DATA.rglob("*")) if path.suffix in (".log", ".trc", ".txt")][:6]
+RECORDED = [path for path in shared_files("data") if path.suffix in (".log", ".trc", ".txt")][:6]
 
 
 @pytest.mark.parametrize("log", RECORDED, ids=lambda path: path.name)

@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from logs import DATA, MACHINE, MACHINE_FILE, MACHINE_TEXT, record
+from logs import MACHINE, MACHINE_FILE, MACHINE_TEXT, record
 from loopback import PATIENCE_S
+from paths import shared, shared_files
 
 from tilth.cli import main
 from tilth.logger.log.mcap_log import LogWriter, RunPart
@@ -271,7 +272,7 @@ def test_names_and_what_is_repeated_are_told(answer: Answer, tmp_path: Path) -> 
     assert (observed["sid"], observed["satellites_in_view"], observed["sky"]) == (7, 2, sky)
 
 
-@pytest.mark.parametrize("path", sorted((DATA / "canboat").glob("*")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", shared_files("data/canboat"), ids=lambda path: path.name)
 def test_recorded_logs(path: Path, answer: Answer) -> None:
     status, out, err = answer("--json", path)
     if status == 2:
@@ -287,9 +288,7 @@ def test_recorded_logs(path: Path, answer: Answer) -> None:
 
 
 def test_recorded_traffic_is_there() -> None:
-    if not DATA.exists():
-        pytest.skip("the recorded traffic is not on this computer")
-    assert len(list((DATA / "canboat").glob("*"))) >= 7
+    assert shared("data") and len(shared_files("data/canboat")) >= 7
 
 
 def test_several_logs_and_what_is_wrong_with_some(answer: Answer, tmp_path: Path) -> None:

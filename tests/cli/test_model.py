@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from asked import Answer, asked
-from paths import ROOT, SHARED
+from paths import ROOT, shared
 
 from tilth.estimator.models.parameters import TABLE_5_1, TABLE_7_2, Rig, rig_of
 from tilth.logger.machine_file import read_machine
@@ -18,12 +18,9 @@ from tilth.schemas.flow import PARAMETERS
 MACHINES = ROOT / "deploy" / "machines"
 MACHINE = MACHINES / "jd7930-parker500.toml"
 CHAPTER_5 = MACHINES / "jd7930-parker500-ch5.toml"
-REFERENCE = SHARED / "reference" / "model_values.json"
 FILES = {"table_5_1": CHAPTER_5, "table_7_2": MACHINE}
 PRINTED = 1.01e-6  # the published values have six decimals
 QUICK = ("--seconds", "2")
-
-needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="the reference values are not here")
 
 
 @pytest.fixture
@@ -55,10 +52,9 @@ def test_the_machine_files_are_the_dissertations_tables(machine: Path, rig: Rig)
     assert rig_of(read_machine(machine)[0]) == rig
 
 
-@needs_reference
 @pytest.mark.parametrize("table", FILES)
 def test_published_eigenvalues(table: str, report: Callable[..., dict[str, Any]]) -> None:
-    published = json.loads(REFERENCE.read_text())["eigenvalues"][table]
+    published = json.loads(shared("reference/model_values.json").read_text())["eigenvalues"][table]
     found = report(FILES[table], *speeds(0.5, 1, 2.5, 4.5, 7.5))["models"]
     assert found.keys() == published.keys()
     for model, values in published.items():
@@ -67,9 +63,8 @@ def test_published_eigenvalues(table: str, report: Callable[..., dict[str, Any]]
             close(found[model][speed]["eigenvalues"], eigenvalues)
 
 
-@needs_reference
 def test_published_regulators_responses_and_turns(report: Callable[..., dict[str, Any]]) -> None:
-    published = json.loads(REFERENCE.read_text())
+    published = json.loads(shared("reference/model_values.json").read_text())
     found = report(CHAPTER_5, *speeds(0.5, 1, 2.5, 4.5, 7.5, 10))["models"]
     for model in ("kinematic", "dynamic", "relaxation"):
         for speed, values in published["lqr"][model].items():

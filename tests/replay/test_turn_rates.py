@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from logs import DATA, START_NS
+from logs import START_NS
+from paths import shared
 
 from tilth.cli import main
 from tilth.replay.readers.any_log import frames
@@ -93,7 +94,4 @@ def test_decode_and_discover_say_it(tmp_path: Path, capsys: pytest.CaptureFixtur
     ["furuno-fap7011c-autopilot-maneuvers.raw", "susteranna-actisense-serial.raw", "candumpSample3.txt"],
 )
 def test_recordings_of_good_or_resting_sensors_accuse_nobody(name: str) -> None:
-    path = DATA / "canboat" / name
-    if not path.exists():
-        pytest.skip("recorded traffic is not beside this checkout")
-    assert not found(list(frames(path))).smoothed()
+    assert not found(list(frames(shared(f"data/canboat/{name}")))).smoothed()

@@ -5,7 +5,7 @@ import json
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paths import ROOT, SHARED
+from paths import ROOT, shared
 
 from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
@@ -19,7 +19,6 @@ from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences.rejections import REJECTIONS
 from tilth.schemas.signals import SIGNALS
 
-CANBOAT = SHARED / "data" / "canboat"
 RIG = parse_machine((ROOT / "deploy/machines/jd7930-parker500.toml").read_text())
 NAMES = [receiver.name or 0 for receiver in RIG.receiver]
 BOUNDED = settings(derandomize=True, max_examples=80, deadline=None)
@@ -97,14 +96,8 @@ def test_a_decoder_goes_on_from_its_dump(decoded: list[Frame], data: st.DataObje
     assert other.dump() == one.dump()
 
 
-def recorded(name: str) -> list[Frame]:
-    if not CANBOAT.is_dir():
-        pytest.skip(f"no recorded traffic at {CANBOAT}")
-    return list(frames(CANBOAT / name))
-
-
 def test_a_decoder_goes_on_from_its_dump_in_recorded_traffic() -> None:
-    decoded = recorded("simulator2.raw")
+    decoded = list(frames(shared("data/canboat") / "simulator2.raw"))
     for cut in range(0, len(decoded), 97):
         one, other = Decoder(), Decoder()
         for frame in decoded[:cut]:
@@ -118,7 +111,7 @@ def test_a_decoder_goes_on_from_its_dump_in_recorded_traffic() -> None:
 @BOUNDED
 @given(st.data())
 def test_recorded_traffic_with_bits_flipped(data: st.DataObject) -> None:
-    decoded = recorded("simulator2.raw")
+    decoded = list(frames(shared("data/canboat") / "simulator2.raw"))
     first = data.draw(st.integers(0, len(decoded) - 60))
     decoder = Decoder()
     for frame in decoded[first : first + 60]:

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from nmea2000 import NMEA2000Decoder
 from nmea2000.input_formats import N2KFormat
-from paths import SHARED
+from paths import shared, shared_files
 
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import LogError
@@ -28,10 +28,7 @@ from tilth.schemas.flow import Frame, Message
 from tilth.schemas.pgn_table import DAY_NS, PGNS, ROW
 from tilth.schemas.reassembly import Assembler
 
-DATA = SHARED / "data"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no recorded traffic at {DATA}")
-
-RECORDED = sorted(path.name for path in (DATA / "canboat").glob("*"))
+RECORDED = [path.name for path in shared_files("data/canboat")]
 # Hold little of the table: four stray messages, or nothing but who is on the bus.
 FEW = {"boatkit-fusion-menu.raw", "sample-YDWG02.txt", "actisense1.ebl", "actisense-523.rx.ebl"}
 
@@ -141,7 +138,7 @@ def oracle_line(frame: Frame) -> str:
 
 def frames_of_recorded(name: str) -> Iterator[Frame]:
     try:
-        yield from frames(DATA / "canboat" / name)
+        yield from frames(shared("data/canboat") / name)
     except LogError as error:
         pytest.skip(str(error))
 
@@ -278,7 +275,7 @@ def test_a_device_that_says_not_available_for_ever_is_counted() -> None:
     decoder = Decoder()
     collected = [
         message
-        for frame in frames(DATA / "canboat" / "furuno-fap7011c-autopilot-maneuvers.raw")
+        for frame in frames(shared("data/canboat") / "furuno-fap7011c-autopilot-maneuvers.raw")
         for message in decoder.messages(frame)
         if message.origin.source == 36 and message.pgn == 129025
     ]
@@ -288,7 +285,7 @@ def test_a_device_that_says_not_available_for_ever_is_counted() -> None:
 
 def tractor(name: str) -> Iterator[tuple[Frame, dict[str, float] | None]]:
     """Frames of a pysobus file with the values that it expects."""
-    for line in (DATA / "pysobus" / name).read_text().splitlines():
+    for line in (shared("data/pysobus") / name).read_text().splitlines():
         stamp, text, _, expected = line.split("\t")
         t_ns = round(float(stamp) * 1000) * 1_000_000
         frame = Frame(t_ns, t_ns, "can0", int(text[:8], 16), True, False, bytes.fromhex(text[8:]))

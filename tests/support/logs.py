@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from paths import MACHINE_FILE as MACHINE_FILE
-from paths import SHARED
 
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
@@ -30,7 +29,6 @@ from tilth.simulator.simulate import Candump
 if TYPE_CHECKING:
     import can
 
-DATA = SHARED / "data"
 MACHINE, MACHINE_TEXT = read_machine(MACHINE_FILE)
 OTHER_TEXT = re.sub(r'(name = "[0-9A-F]{13})[0-9A-F](..")', r"\g<1>A\2", MACHINE_TEXT)
 """The machine file of a rig like it, whose devices have other numbers."""

@@ -6,8 +6,9 @@
 QEMU runs Debian's stock kernel; its root is this computer's own, read-only, under a file system in memory:
 the same Python, the same environment, the same checkout. `$OUT` in the guest is the folder `out` here, both
 ways. There are can-utils, two CAN cards (can0, can1: SJA1000, on one emulated bus), the modules of MODULES;
-every drive is a /dev/vd*. Nothing is paced like hardware, and Python takes half a minute to start: for
-correctness, never speed. Times to wait are there so that one that hangs ends; others may want the processor.
+every drive is a /dev/vd*. It has one processor, since two wait for each other, which costs twice the
+computing. Nothing is paced like hardware, and Python takes half a minute to start: for correctness, never
+speed. Times to wait are there so that one that hangs ends; others may want the processor.
 """
 
 import contextlib
@@ -94,15 +95,13 @@ def boot(
     options: Sequence[str] = (),
     upper: str = "",
     modules: Sequence[str] = (),
-    processors: int = 2,
 ) -> Iterator[Guest]:
     """Start a machine that runs a command in the checkout and then ends.
 
     out: a folder, made where there is none. drives: raw images, /dev/vda and so on; what a drive has taken
     from the guest survives `kill`. options: further ones of QEMU. upper: the drive, an ext4, that has what
     the guest changes of its root, so that another start finds it; else it is in memory. modules: of the
-    kernel, beside MODULES. processors: two wait for each
-    other, which costs twice the computing; one is enough where no seconds are judged.
+    kernel, beside MODULES.
     """
     out.mkdir(parents=True, exist_ok=True)
     kernel, initial = _system((*MODULES, *modules))
@@ -118,7 +117,6 @@ def boot(
     arguments = [
         "qemu-system-x86_64",
         *shlex.split(MACHINE),
-        *("-smp", str(processors)),
         *("-serial", f"file:{console}", "-kernel", str(kernel), "-initrd", str(initial)),
         *("-append", f"{KERNEL} upper={upper}" if upper else KERNEL),
         *("-virtfs", "local,path=/,mount_tag=root,security_model=none,readonly=on,multidevs=remap"),

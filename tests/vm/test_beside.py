@@ -14,7 +14,8 @@ BUS = '[[bus]]\nname = "can0"\ninterface = "socketcan"\nchannel = "vcan0"\nbitra
 def test_beside_candump_and_python_can(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Printed, not judged: nothing here has the speed of hardware. Each has every frame."""
     (tmp_path / "machine.toml").write_text(machine_text(tmp_path, BUS))
-    with boot(["bash", "-e", "tests/vm/beside.sh"], tmp_path) as guest:
+    command, two = ["bash", "-e", "tests/vm/beside.sh"], ("-smp", "2")  # else the three have no time to spare
+    with boot(command, tmp_path, options=two) as guest:
         guest.finish()
     rows = {}
     for line in (tmp_path / "cpu").read_text().splitlines():

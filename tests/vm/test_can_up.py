@@ -45,7 +45,7 @@ def test_it_listens_until_there_is_a_machine_file_then_sets_bit_rates_and_leaves
     if up can9; then exit 1; fi
     """
     buses = "".join(BUSES.replace("can0", name) for name in ("can0", "can9", "vcan0"))
-    with boot(["env", f"BUSES={buses}", "bash", "-exc", script], out, processors=1) as guest:
+    with boot(["env", f"BUSES={buses}", "bash", "-exc", script], out) as guest:
         guest.finish()
     assert "frames are heard at" in (out / "said").read_text()
     assert "LISTEN-ONLY" in (out / "listening").read_text()

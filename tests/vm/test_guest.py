@@ -17,7 +17,7 @@ def test_frames_drives_and_the_exit_status(tmp_path: Path) -> None:
     cangen vcan0 -n 3 -I 123 -D 1122 -L 2; wait
     head -c 12 /dev/vda >$OUT/read && echo from inside | dd of=/dev/vda conv=fsync && exit 7
     """
-    with boot(["bash", "-c", script], tmp_path / "out", drives=[drive], processors=1) as guest:
+    with boot(["bash", "-c", script], tmp_path / "out", drives=[drive]) as guest:
         with pytest.raises(AssertionError, match="exit status 7"):
             guest.finish()
         assert (guest.out / "seen").read_text().count(" vcan0 123#1122\n") == 3

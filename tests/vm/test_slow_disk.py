@@ -20,7 +20,7 @@ def test_writes_that_stall_for_seconds_cost_no_frame(tmp_path: Path) -> None:
     fsfreeze -f /mnt/disk; sleep 8; fsfreeze -u /mnt/disk; sleep 3; touch /mnt/disk/stop
     wait $job; cp /mnt/disk/logs/*.mcap $OUT
     """
-    with boot(["bash", "-ec", script], tmp_path / "out", drives=[drive], processors=1) as guest:
+    with boot(["bash", "-ec", script], tmp_path / "out", drives=[drive]) as guest:
         guest.finish()
     output = json.loads((guest.out / "told").read_text())
     assert output["given"] == output["recorded"] > 5000 and output["missed"] == 0

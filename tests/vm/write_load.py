@@ -21,7 +21,7 @@ NOW = struct.Struct("<8sQ")  # MARK, frames so far
 MARK = b"TilthNow"
 SPACING_NS = 1_000_000
 ENOUGH = 6000  # a busy computer takes longer
-BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop makes no frames
+BEHIND_NS = 20_000_000  # time that a busy computer did not give to the loop makes no frames
 
 
 def main(folder: Path, sector: str = "") -> None:

@@ -40,7 +40,7 @@ pytestmark = pytest.mark.long
 
 
 pytest.importorskip("distributed")
-PLAN = GlobalPlan("relaxation", TABLE_7_2, 7.5, 3.0, Uniform(DISSERTATION, 24_000))
+PLAN = GlobalPlan("relaxation", TABLE_7_2, 7.5, 3.0, Uniform(DISSERTATION, 8_000))
 BEGAN = datetime(2026, 1, 1, tzinfo=UTC)  # certificates
 COMPUTE = ("tilth.analysis.sensitivity.run_batches", "tilth.analysis.season.identified")
 QUIET = {"OPENBLAS_NUM_THREADS": "1", "DASK_DISTRIBUTED__WORKER__MEMORY__SPILL": "false"}
@@ -108,7 +108,7 @@ def test_three_workers_of_which_one_dies_and_one_hangs(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same to the last digit as here; the batches of both are computed by others."""
-    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 300 * 1000)  # 24 batches
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 100 * 1000)  # 24 batches
     cluster.work(3)
 
     def trouble(done: int, of: int) -> None:
@@ -128,7 +128,7 @@ def test_three_workers_of_which_one_dies_and_one_hangs(
 def test_a_cluster_that_ends_keeps_what_was_done(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 300 * 1000)
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 100 * 1000)
     cluster.work(1)
 
     def end(done: int, of: int) -> None:
@@ -168,7 +168,7 @@ def certified(folder: Path, name: str, authority: tuple[bytes, bytes] | None = N
 def test_with_certificates_and_only_with_those_of_the_authority(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 3000 * 1000)
+    monkeypatch.setattr(run_batches, "LANE_SAMPLES", 1000 * 1000)
     authority = new_authority("authority", BEGAN)
     cluster_files, mine = (certified(tmp_path, name, authority) for name in ("cluster", "me"))
     stranger = certified(tmp_path, "stranger")._replace(ca=mine.ca)

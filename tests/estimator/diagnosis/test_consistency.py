@@ -11,7 +11,7 @@ import pytest
 import wrong_files
 from circle import demo_machine
 from estimation_study import STEPS
-from paths import SHARED
+from paths import shared
 from sampled import sampled
 
 from tilth.estimator import fold
@@ -52,7 +52,6 @@ from tilth.simulator.traffic import simulate
 SECONDS = 55.0
 RANDOM = replace(wrong_files.DRIVES["random"], speed=4.5, seconds=SECONDS)
 LONG = replace(RANDOM, seconds=200.0)
-STRANGERS = SHARED / "data" / "strangers"
 THREE_STEPS = replace(STEPS.scenario, ground=Ground())
 
 
@@ -142,15 +141,15 @@ def test_long_driving_on_uneven_ground_does_not_make_a_right_file_look_wrong() -
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not STRANGERS.is_dir(), reason="the strangers' drives are not here")
 @pytest.mark.parametrize("name", ["s0", "s5"])
 def test_a_right_file_of_another_rig_is_not_silent(name: str) -> None:
     """Tractors of 5 and 8 t with carts of 7 and 6 t, that driving doubted to the end: the inertia of either
     cart comes out at a half or less. C_ar of s0 is 36 % stiff: what its windows show of the model of the
     ground (filters/contrast.py) makes the sd 19 % of what was 11."""
-    machine = parse_machine((STRANGERS / f"{name}.toml").read_text(encoding="utf-8"))
-    truth = json.loads((STRANGERS / f"{name}.truth.json").read_text(encoding="utf-8"))
-    heard = list(log_frames(STRANGERS / f"{name}.log.gz"))
+    strangers = shared("data/strangers")
+    machine = parse_machine((strangers / f"{name}.toml").read_text(encoding="utf-8"))
+    truth = json.loads((strangers / f"{name}.truth.json").read_text(encoding="utf-8"))
+    heard = list(log_frames(strangers / f"{name}.log.gz"))
     _, out = run(machine, heard, pem.METHOD)
     times = [(t_ns - heard[0].t_ns) * 1e-9 for t_ns, e in given(out) if e.method == "tracker"]
     assert times[0] < 30.0 and times[-1] > (heard[-1].t_ns - heard[0].t_ns) * 1e-9 - 2.0

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from circle import demo_machine
-from logs import DATA
 from numpy.typing import NDArray
+from paths import shared
 from rich.console import Console
 from straight_row import on_a_rut
 
@@ -260,9 +260,8 @@ def test_after_the_clock_stepped_back_only_what_was_learned_stays() -> None:
     assert np.array_equal(state.before_mean, state.mean)
 
 
-@pytest.mark.skipif(not (DATA / "rows").exists(), reason="needs the recorded rows beside the repository")
 def test_two_minutes_of_given_rows_tell_the_six() -> None:
-    stem = DATA / "rows" / "rowsw0"
+    stem = shared("data/rows") / "rowsw0"
     truth = json.loads(stem.with_suffix(".truth.json").read_text(encoding="utf-8"))
     (run,) = open_runs(stem.with_suffix(".log.gz"), machine=read_machine(f"{stem}.toml"))
     machine = run.machine

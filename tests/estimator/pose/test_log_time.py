@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from circle import demo_machine
-from paths import SHARED
+from paths import shared
 
 from tilth.estimator.fold import initial, step
 from tilth.estimator.pose.log_time import LogTime, continues, on_log_clock, stray_senders, take_stamp
@@ -17,7 +17,6 @@ from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
 START = 1_700_000_000.0
-STRANGERS = SHARED / "data" / "strangers" / "second"
 Stamps = list[tuple[float, str]]  # s since the start, bus
 
 
@@ -227,10 +226,8 @@ def test_stamps_that_are_too_coarse_are_said(each: float) -> None:
     assert ("whole seconds" if each == 1.0 else "steps of 0.1 s") in notice_sentence(coarse)
 
 
-@pytest.mark.parametrize("name", ["02-one-frame-a-second-6s-ahead"])
-@pytest.mark.skipif(not STRANGERS.exists(), reason="the recorded data are not here")
-def test_of_the_drive_with_sixty_frames_ahead_all_others_are_used(name: str) -> None:
-    (log,) = STRANGERS.glob(f"{name}.log.gz")
+def test_of_the_drive_with_sixty_frames_ahead_all_others_are_used() -> None:
+    log = shared("data/strangers/second/02-one-frame-a-second-6s-ahead.log.gz")
     state = initial(demo_machine())
     state.ready = False
     for record in open_log(log).records:

@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 from circle import demo_machine
-from paths import SHARED
+from paths import shared
 from sampled import sampled
 
 from tilth.estimator.driving import DRIVING
@@ -24,7 +24,6 @@ from tilth.simulator.scenario import DrivenManoeuvre, Scenario
 from tilth.simulator.traffic import simulate
 
 MACHINE = demo_machine()
-STRANGERS = SHARED / "data" / "strangers" / "second"
 WHEEL_ID = 0x18FF0B15
 SECONDS = 40.0
 FAILS_S = 30.0
@@ -103,11 +102,11 @@ TOLD: dict[str, list[str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.skipif(not STRANGERS.is_dir(), reason="the strangers' logs are not here")
 @pytest.mark.parametrize("name", sampled(TOLD, ["27-wheel-spikes"]))
 def test_logs_of_strangers(name: str) -> None:
-    true = json.loads((STRANGERS / "00-base.truth.json").read_text())["parameters"]
-    log = open_log(STRANGERS / f"{name}.log.gz")
+    strangers = shared("data/strangers/second")
+    true = json.loads((strangers / "00-base.truth.json").read_text())["parameters"]
+    log = open_log(strangers / f"{name}.log.gz")
     state, events, last = initial(MACHINE), list[str](), None
     for record in log.records:
         if not isinstance(record, Frame):

@@ -16,7 +16,7 @@ import can
 import pytest
 from logs import MACHINE_TEXT
 from loopback import free_port, machine_text, rig, udp_bus
-from paths import SHARED
+from paths import shared
 
 from tilth.cli import duration, main
 from tilth.logger.checks import check as check_module
@@ -210,10 +210,7 @@ def test_files_as_windows_editors_save_them(encoding: str, end: str, tmp_path: P
 
 @pytest.mark.parametrize("name", ["machine-bom.toml", "degrees-cp1252.toml", "degrees-utf8-bom.toml"])
 def test_given_files_of_windows_editors(name: str) -> None:
-    path = SHARED / "data" / "strangers" / "second" / name
-    if not path.exists():
-        pytest.skip("the given files are not on this computer")
-    machine, text = read_machine(path)
+    machine, text = read_machine(shared(f"data/strangers/second/{name}"))
     assert machine.name == "jd7930-parker500" and text.startswith("# The")
     assert machine.wheel_angle.dbc is None or "Vorderräder" in (machine.wheel_angle.dbc_text or "")
 

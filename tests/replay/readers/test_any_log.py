@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from logs import DATA, SECOND, drained, messages, write_mcap, write_with_can
+from logs import SECOND, drained, messages, write_mcap, write_with_can
+from paths import shared
 
 from tilth.replay.readers.any_log import frames, open_log
 from tilth.replay.readers.log import NO_ZONE, EmptyLog, ForeignLog
@@ -49,10 +50,7 @@ RECORDED: tuple[tuple[str, int, int, int, set[str], dict[str, int]], ...] = (
 def test_recorded_logs(
     name: str, count: int, first: int, last: int, buses: set[str], skipped: dict[str, int]
 ) -> None:
-    path = DATA / "canboat" / name
-    if not path.exists():
-        pytest.skip("the recorded traffic is not on this computer")
-    found, log = drained(path)
+    found, log = drained(shared(f"data/canboat/{name}"))
     assert (len(found), found[0].t_ns, found[-1].t_ns) == (count, first, last)
     assert {frame.bus for frame in found} == buses
     assert (log.truncated, log.skipped) == (False, skipped)
@@ -61,17 +59,13 @@ def test_recorded_logs(
 
 
 def test_assembled_messages_are_one_frame_with_long_data() -> None:
-    path = DATA / "canboat" / "susteranna-actisense-serial.raw"
-    if not path.exists():
-        pytest.skip("the recorded traffic is not on this computer")
+    path = shared("data/canboat/susteranna-actisense-serial.raw")
     long = [frame for frame in frames(path) if len(frame.data) > 8]
     assert {len(frame.data) for frame in long if frame.can_id >> 8 & 0x3FFFF == 129029} == {43}
 
 
 def test_pysobus_frames_as_candump(tmp_path: Path) -> None:
-    source = DATA / "pysobus" / "jd.txt"
-    if not source.exists():
-        pytest.skip("the recorded traffic is not on this computer")
+    source = shared("data/pysobus/jd.txt")
     rows = [line.split("\t") for line in source.read_text().splitlines()]
     path = tmp_path / "jd.log"
     path.write_text("".join(f"({stamp}) can0 {text[:8]}#{text[8:]}\n" for stamp, text, *_ in rows))
@@ -286,10 +280,7 @@ def test_the_start_of_an_mf4_in_local_time_or_with_its_zone(
 
 
 def test_the_given_mf4_in_local_time() -> None:
-    path = DATA / "strangers" / "second" / "18-python-can.mf4"
-    if not path.exists():
-        pytest.skip("the given files are not on this computer")
-    found, log = drained(path)
+    found, log = drained(shared("data/strangers/second/18-python-can.mf4"))
     assert (len(found), found[0].t_ns, log.note) == (800, 1777881599_900959000, NO_ZONE)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from log_forms import EPOCH_S, TRC_VERSIONS, asc, frame, trc
 from logs import SECOND, drained
-from paths import SHARED
+from paths import shared
 
 from tilth.replay.readers.any_log import frames
 from tilth.replay.readers.log import NO_DATE, NO_ZONE, EmptyLog
@@ -16,7 +16,6 @@ from tilth.schemas.flow import Frame
 
 T = EPOCH_S * SECOND
 LATER = T + SECOND // 2
-GIVEN = SHARED / "data" / "strangers"
 AFTERNOON = 1_791_212_773_191_000_000  # 5 October 2026, 15:06:13.191
 
 DATES = (
@@ -171,9 +170,7 @@ def test_what_trigger_blocks_count_from(tmp_path: Path) -> None:
     ],
 )
 def test_given_asc_files(name: str, first: int, count: int) -> None:
-    if not (GIVEN / name).exists():
-        pytest.skip("the given files are not on this computer")
-    found, log = drained(GIVEN / name)
+    found, log = drained(shared(f"data/strangers/{name}"))
     assert (len(found), found[0].t_ns, found[0].can_id) == (count, first, 0x18EEFF1C)
     assert (log.truncated, log.skipped, log.note) == (False, {}, NO_ZONE)
 
@@ -258,10 +255,7 @@ def test_a_trace_without_a_start_time_is_said(start: str, tmp_path: Path) -> Non
 
 
 def test_the_given_trace() -> None:
-    path = GIVEN / "second" / "25-trc12.trc"
-    if not path.exists():
-        pytest.skip("the given files are not on this computer")
-    found, log = drained(path)
+    found, log = drained(shared("data/strangers/second/25-trc12.trc"))
     assert [f.bus for f in found] == ["can1", "can1", "can2"] and log.skipped == {}
     assert [f.t_ns - found[0].t_ns for f in found] == [0, 100_300_000, 200_900_000]
 

@@ -15,7 +15,7 @@ from google.protobuf.message_factory import GetMessageClass
 from log_forms import EPOCH_S, ROS2_FRAME, ROS_HEADER, frame, ros, ros1_message, ros2_message
 from logs import SECOND, drained
 from mcap.writer import CompressionType
-from paths import SHARED
+from paths import shared
 
 from tilth.replay.readers.log import EmptyLog, ForeignLog
 from tilth.schemas.flow import Frame
@@ -188,9 +188,7 @@ def test_a_log_of_ros_without_a_frame(tmp_path: Path) -> None:
 
 
 def test_the_given_rosbag() -> None:
-    path = SHARED / "data" / "strangers" / "second" / "13-rosbag2-fastwrite.mcap"
-    if not path.exists():
-        pytest.skip("the given files are not on this computer")
+    path = shared("data/strangers/second/13-rosbag2-fastwrite.mcap")
     found, log = drained(path)
     assert (len(found), found[0].t_ns, found[0].can_id) == (400, 1777881599_900959000, 0x0CF00203)
     assert {f.bus for f in found} == {"from_can_bus"} and (log.truncated, log.skipped) == (False, {})

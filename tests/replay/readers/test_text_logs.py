@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 from log_forms import frame
-from logs import DATA, MACHINE_FILE, SECOND, drained
+from logs import MACHINE_FILE, SECOND, drained
 from nmea2000 import NMEA2000Decoder
 from nmea2000.encoder_formats import ENCODER_CLASSES
 from nmea2000.input_formats import N2KFormat
+from paths import shared
 
 from tilth.cli import main
 from tilth.replay.readers.any_log import KINDS, frames, readable
@@ -202,9 +203,7 @@ def test_what_nmea2000_writes(form: N2KFormat, tmp_path: Path) -> None:
 
 def test_values_of_recorded_ebl_and_ikonvert_are_what_nmea2000_reads() -> None:
     """The frame of every line, by another's reader of the form."""
-    path = DATA / "canboat" / "ikonvert.log"
-    if not path.exists():
-        pytest.skip("the recorded traffic is not on this computer")
+    path = shared("data/canboat/ikonvert.log")
     found = iter(frames(path))
     compared = 0
     for line in path.read_text(errors="replace").splitlines():
