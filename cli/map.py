@@ -64,9 +64,12 @@ def run(args: argparse.Namespace) -> int:
             rig = stretches_of(args.season, args.machine, args.implement)
             parts = list(enumerate(fields_of(rig.stretches), 1))
             if args.field is not None and args.field > len(parts):
-                raise WrongUse(f"--field {args.field}: there is {len(parts)}")
+                raise WrongUse(f"--field {args.field}: the fields are numbered 1 to {len(parts)}")
             if ending in (".png", ".json") and args.field is None and len(parts) > 1:
-                raise WrongUse(f"a {ending} is of one field, and there are {len(parts)}: give --field, 1 up")
+                raise WrongUse(
+                    f"a {ending} is of one field, and there are {len(parts)}: give --field N; "
+                    "an .html shows all"
+                )
             wanted = [part for part in parts if args.field in (None, part[0])]
             with threadpool_limits(1):  # two that wait for each other take four times the processor's time
                 fields = [mapped(number, rig.machine, of, args.cell) for number, of in wanted]
@@ -94,7 +97,7 @@ def _write(args: argparse.Namespace, ending: str, rig: "RigStretches", fields: l
     elif ending == ".json":
         write_prior(args.out, rig.machine, fields[0])
     elif ending == ".png":
-        write_picture(args.out, fields[0])
+        write_picture(args.out, rig, fields[0])
     else:
         words = [str(args.season), *as_given(args, "out", "machine", "implement", "field", "cell")]
         write_page(args.out, rig, fields, command("map", *words))

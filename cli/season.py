@@ -82,6 +82,8 @@ def _tell(made: Season, as_json: bool) -> int:
         _say(f"nothing to do: {what} in {made.table}")
     else:
         _say(f"{what} in {made.table}, {made.computed} runs identified now; open {made.out / SUMMARY}")
+    if done["look"]:
+        _say(f"runs that deserve a look: {done['look']}; {SUMMARY} says why")
     if made.inventory.left_out:
         _say(f"files not used: {len(made.inventory.left_out)}; {SUMMARY} says why")
     if done["failed"]:

@@ -66,7 +66,7 @@ def soils(data: Mapping[str, Any]) -> Figure:
         panel.plot(at, value, ".", color=BLUE, markersize=3)
         panel.set_yscale("log")
         plain_ticks(panel.yaxis)
-        panel.set_ylabel(f"{SYMBOLS[name]}, {unit_of(name)}")
+        panel.set_ylabel(f"{AXLES[name[-1]]}\n{SYMBOLS[name]}, {unit_of(name)}")
         for first in data["days"]:
             panel.axvline(first["at"] - 0.5, color=QUIET, linewidth=0.3)
     step = -(-len(data["days"]) // MOST_DAYS_NAMED) or 1

@@ -35,7 +35,7 @@ function zooming(figure) {
       frame.style.touchAction = zoom > 1 ? "none" : "auto";
       frame.style.cursor = zoom > 1 ? "grab" : "auto";
     }
-    scale.textContent = `${Number((length / zoom).toPrecision(2))} m`;
+    scale.textContent = `${Number((length / zoom).toPrecision(3))} m`;
   };
   const zoomBy = (factor, across = 0.5, down = 0.5) => {
     const next = Math.min(Math.max(zoom * factor, 1), MOST);

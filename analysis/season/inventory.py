@@ -20,6 +20,7 @@ from tilth.logger.log.recovery import COPY, NoLog, rescue
 from tilth.replay.catalogue import BESIDE
 from tilth.replay.glance import FileState, brief
 from tilth.replay.readers.any_log import MCAP, open_log
+from tilth.replay.readers.any_log import readable as forms_read
 from tilth.replay.readers.log import ForeignLog, LogError
 from tilth.replay.readers.remote import at_hand, files_at, is_remote
 from tilth.replay.readers.rig import machine_in
@@ -208,6 +209,7 @@ def _look(file: SeenFile, out: Path, machines: dict[str, tuple[str, str | None]]
             return _of_tilth(file, path, out, machines) if _is_mcap(path) else _of_others(file, path)
     except (LogError, MachineError, NoLog) as error:
         text = str(error).removeprefix(f"{file.path}: ").removeprefix(f"{shown}: ")
+        text = text.removesuffix(f"; {forms_read()}")  # long, and there may be many such files
         return replace(file, problem=readable(text))
     except OSError as error:
         return replace(file, problem=f"cannot be read ({reason_of(error)})")

@@ -78,13 +78,11 @@ def stretches_of(out: Path, machine: str | None = None, implement: str | None = 
     left_out = []
     if len(used) < len(own):
         left_out.append(
-            f"{len(own) - len(used)} stretches are not in the map: they or their runs are not put together "
-            "with others; the season's page says why"
+            f"{len(own) - len(used)} stretches are not in the map: they, or their runs, are not combined "
+            "with others; season.html says why"
         )
     if len(placed) < len(used):
-        left_out.append(
-            f"{len(used) - len(placed)} stretches are not in the map: nobody knows where they were"
-        )
+        left_out.append(f"{len(used) - len(placed)} stretches are not in the map: their place is unknown")
     if not placed:
         said = "; ".join(left_out)
         raise MapProblem(f"no stretch of {_label(rigs, rig)} can be mapped: {said}")

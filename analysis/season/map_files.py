@@ -23,13 +23,17 @@ from tilth.schemas.machine import Machine
 
 DECIMALS: Final = 7  # of a degree: 11 mm
 MEANING: Final = {
-    "values": "cornering stiffness of a whole axle, N/rad: C_af of the front axle, C_ar of the rear axle, "
-    "C_ai of the implement's; median, with the standard deviation of its natural logarithm (_log_sd)",
-    "places": "a stretch is where the implement's axle was, of its width; its values are those of each axle "
-    "on its own way meanwhile. A cell's values are of each axle as it is in that cell, whatever its heading",
-    "time": "values are of the field's last run: what was told before has faded since, as it does in the cab",
-    "informed": "share of the variance of the machine file's prior that a stretch alone removes (_informed)",
-    "left empty": "cells of which too little is known, or further from any way than soil is alike",
+    "values": "cornering stiffness of a whole axle: C_af of the front axle, C_ar of the rear axle, C_ai of "
+    "the implement's axle. The median, N/rad in files, and the standard deviation of its natural logarithm, "
+    "_log_sd in files",
+    "places": "a stretch is a polygon along the path of the implement's axle, as wide as its track; its "
+    "values are those of each axle on its own path. A cell's values are those of each axle in that cell, "
+    "whatever the heading",
+    "time": "the field as it was in its last run; knowledge from earlier runs has faded by then, as it does "
+    "in the cab",
+    "informed": "share of the variance of the machine file's prior that a stretch alone removes, _informed "
+    "in files",
+    "left empty": "cells of which too little is known, or that are further from any path than soil is alike",
 }
 _TEXTS: Final = (
     "kind", *(f"{name}_{what}" for name in STIFFNESSES for what in ("status", "reason")),

@@ -24,6 +24,7 @@ from tilth.analysis.report.wording import NOTHING, many, meaning_of, sentences
 from tilth.analysis.season.field_map import STIFFNESSES, MappedField
 from tilth.analysis.season.kept_table import RigStretches, runs_in
 from tilth.analysis.season.map_files import MEANING
+from tilth.logger.clock import utc_text
 from tilth.logger.log import whole_file
 from tilth.schemas.readable import readable
 from tilth.schemas.spread import scale_of, unit_of
@@ -32,24 +33,23 @@ HECTARE: Final = 1e4
 DPI: Final = 200
 
 
-def write_picture(path: Path, field: MappedField) -> None:
+def write_picture(path: Path, rig: RigStretches, field: MappedField) -> None:
     """A PNG, a new file or nothing. Raises OSError."""
     stream = BytesIO()
     with matplotlib.rc_context(LOOK):
-        field_map(drawn(field)).savefig(
-            stream, format="png", dpi=DPI, facecolor=PAPER, metadata={"Software": None}
-        )
+        figure = field_map(drawn(field))
+        figure.suptitle(f"{_name(rig)}: field {field.number}, {_days(field)}")
+        figure.savefig(stream, format="png", dpi=DPI, facecolor=PAPER, metadata={"Software": None})
     whole_file.write(path, stream.getvalue(), replace=False)
 
 
 def write_page(path: Path, rig: RigStretches, fields: Sequence[MappedField], command: str) -> None:
     """One HTML file that needs nothing else; its maps zoom. A new file or nothing. Raises OSError."""
-    name = f"{rig.machine_name}, implement {rig.implement}"
     how = [f"Made by: {command}.", *(sentences([text]) for text in rig.left_out)]
     how += [sentences([f"{what}: {text}"]) for what, text in MEANING.items()]
     made = ReportSection("made", "How this was made", tuple(map(ReportText, how)))
     sections = [*map(_section, fields), made]
-    report = DriveReport(f"Fields of {name}", tuple(sections), {})
+    report = DriveReport(f"Fields of {_name(rig)}", tuple(sections), {})
     whole_file.write(path, readable(page(report)).encode(), replace=False)
 
 
@@ -78,15 +78,27 @@ def drawn(field: MappedField) -> dict[str, Any]:
     }
 
 
+def _name(rig: RigStretches) -> str:
+    return f"{rig.machine_name}, implement {rig.implement}"
+
+
+def _days(field: MappedField) -> str:
+    """When it was driven."""
+    begins = [one.begin_utc_ns for one in field.stretches]
+    first, last = (utc_text(at, "%Y-%m-%d") for at in (min(begins), max(begins)))
+    return first if first == last else f"{first} to {last}"
+
+
 def told_of(field: MappedField) -> str:
     """A field in a sentence."""
     latitude, longitude = field.origin_deg
+    runs = many(len(runs_in(field.stretches)), "run")
     text = (
-        f"field {field.number}: {len(field.stretches)} stretches of "
-        f"{many(len(runs_in(field.stretches)), 'run')} about {latitude:.5f}, {longitude:.5f}; "
+        f"field {field.number}: {len(field.stretches)} stretches of {runs}, "
+        f"{_days(field)}, near {latitude:.5f}, {longitude:.5f}; "
         f"{len(field.grid) * field.cell_m**2 / HECTARE:.2f} ha with a number"
     )
-    return f"{text}; the soil is another one since {', '.join(field.changed)}" if field.changed else text
+    return f"{text}; the soil has changed since {', '.join(field.changed)}" if field.changed else text
 
 
 def _section(field: MappedField) -> ReportSection:
@@ -104,7 +116,10 @@ def _section(field: MappedField) -> ReportSection:
     data = drawn(field)
     parts: list[Any] = [ReportText(told), table]
     if data["parameters"]:
-        caption = "Value and uncertainty, north up; thin: ways of the implement's axle; thick: hull of them."
+        caption = (
+            "Cornering stiffness (the larger, the more firmly the soil holds the tyres) and its uncertainty, "
+            "north up. Thin lines: paths of the implement's axle; thick line: their outline."
+        )
         parts.insert(1, ReportFigure(f"map-{field.number}", "field_map", caption, told, data))
     return ReportSection(f"field-{field.number}", f"Field {field.number}", tuple(parts))
 

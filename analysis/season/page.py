@@ -56,7 +56,7 @@ def report_of(made: Season, command: str) -> DriveReport:
     """made: a season with its rows."""
     runs, rows = made.runs or (), made.rows or ()
     sections = [
-        _short(made, runs, rows), _days(runs), _rigs(runs, rows), *_soils(rows), _look(made, runs),
+        _short(made, runs, rows), _look(made, runs), _days(runs), _rigs(runs, rows), *_soils(rows),
         _disk(made, runs), _how(command),
     ]  # fmt: skip
     data = {
@@ -96,9 +96,13 @@ def _short(made: Season, runs: Sequence[DrivenRun], rows: Sequence[SeasonRow]) -
     machines = many(len({one.machine for one in rigs}), "machine")
     text = (
         f"{many(len(runs), 'run')} of {seconds(hours)} by {machines}, {many(len(rigs), 'pair')} of machine "
-        f"and implement. Fitted stretches of driving: {len(stretches)}; {used} of them count."
+        f"and implement{_between(runs)}. Fitted stretches of driving: {len(stretches)}; used: {used}."
     )
-    parts: list[Part] = [ReportText(text)]
+    look, left_out = sum(bool(one.look) for one in runs), len(made.inventory.left_out)
+    parts: list[Part] = [
+        ReportText(text),
+        ReportText(f"Runs that deserve a look: {look}. Files that are not used: {left_out}."),
+    ]
     failed = sum(bool(one.found.failure) for one in runs)
     if failed:
         parts.append(ReportText(f"{many(failed, 'run')} could not be identified.", WARNING))
@@ -119,6 +123,12 @@ def _name(rig: DrivenRig) -> str:
 
 def _day(utc_ns: int) -> str:
     return clock(utc_ns * 1e-9, "%Y-%m-%d") if utc_ns else "unknown"
+
+
+def _between(runs: Sequence[DrivenRun]) -> str:
+    """First and last day."""
+    days = sorted({_day(one.begins_ns) for one in runs if one.begins_ns})
+    return f", {days[0]} to {days[-1]}" if len(days) > 1 else f", {days[0]}" if days else ""
 
 
 def _days(runs: Sequence[DrivenRun]) -> ReportSection:

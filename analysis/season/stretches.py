@@ -24,9 +24,12 @@ from tilth.schemas.reasons import Code, Reason
 from tilth.schemas.sentences import sentence
 
 STRETCH, RUN, FILE = "stretch", "run", "file"
-UNDATED: Final = "nobody knows when it was driven, so it has no place in the order; what it tells is its own"
-UNCONFIRMED: Final = "the data have not confirmed the machine file by the end of the run"
-NO_STRETCH: Final = "nothing was driven of which something could be learned"
+UNDATED: Final = "its time is unknown, since the clock was never set, so it is not combined with other runs"
+UNCONFIRMED: Final = (
+    "the data have not confirmed the machine file by the end of the run: drive longer, with turns, or "
+    "measure the rig more exactly"
+)
+NO_STRETCH: Final = "no stretch of this driving could be fitted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +149,9 @@ def _tell_one_name(runs: Sequence[DrivenRun]) -> None:
             if one.begins_ns < before.ends_ns and not one.found.failure:
                 twin = f"it was driven while {before.run.name} was: two machines have the name {name}"
                 one.apart = one.apart or twin
-                one.look.append(f"{twin}; give each its own")
+                one.look.append(
+                    f"{twin}, or one log holds a part of the other; give each machine its own name"
+                )
         for before, one in itertools.pairwise(same):
             if before.rig != one.rig and before.machine is not None and one.machine is not None:
                 one.look.append(

@@ -53,7 +53,7 @@ def test_of_several_fields_a_picture_is_of_one(tmp_path: Path, capsys: pytest.Ca
         (["SEASON", "--out", "none/map.png"], "there is no such folder"),
         ([".", "--out", "map.png"], "no season in this folder"),
         (["SEASON", "--out", "map.png", "--machine", "other"], "there are: rig"),
-        (["SEASON", "--out", "map.png", "--field", "2"], "--field 2: there is 1"),
+        (["SEASON", "--out", "map.png", "--field", "2"], "--field 2: the fields are numbered 1 to 1"),
         (["SEASON", "--out", "map.png", "--cell", "0"], "give a number from 1 to 100 m"),
     ],
 )

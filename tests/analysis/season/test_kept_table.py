@@ -32,8 +32,8 @@ def test_stretches_come_back_as_they_were_told(tmp_path: Path) -> None:
 def test_what_is_nowhere_on_earth_is_left_out_and_told(place: list[float], tmp_path: Path) -> None:
     lost = replace(SOME[0], path_deg=np.array([place]) if place else np.zeros((0, 2)))
     found = stretches_of(kept_season(tmp_path, {"rig": [lost, *SOME[1:]]}))
-    assert len(found.stretches) == 4 and "nobody knows where" in found.left_out[0]
-    with pytest.raises(MapProblem, match="nobody knows where"):
+    assert len(found.stretches) == 4 and "place is unknown" in found.left_out[0]
+    with pytest.raises(MapProblem, match="place is unknown"):
         stretches_of(kept_season(tmp_path, {"rig": [lost]}))
 
 

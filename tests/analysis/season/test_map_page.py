@@ -39,7 +39,7 @@ def test_a_page_is_one_file_that_needs_nothing_else(field: MappedField, tmp_path
     text = (tmp_path / "m.html").read_text(encoding="utf-8")
     assert "&lt;tractor&gt;" in text and text.count("<script") == 1 and "3 stretches are not" in text
     assert not re.search(r'(?:href|src)="(?!#|data:)', text)
-    assert "20 stretches of 1 run" in told_of(field) and "Field 2" in text
+    assert "20 stretches of 1 run, 1970-01-01, near" in told_of(field) and "Field 2" in text
 
 
 @pytest.mark.browser
@@ -82,7 +82,11 @@ def test_the_panels_of_a_field_zoom_together_and_its_scale_with_them(
 
 
 def test_a_picture_is_written_once(field: MappedField, tmp_path: Path) -> None:
-    write_picture(tmp_path / "m.png", field)
-    assert (tmp_path / "m.png").read_bytes().startswith(b"\x89PNG")
+    rig, other = (RigStretches(name, "drill", MACHINE, (), ()) for name in ("tractor", "other"))
+    write_picture(tmp_path / "m.png", rig, field)
+    picture = (tmp_path / "m.png").read_bytes()
+    assert picture.startswith(b"\x89PNG")
     with pytest.raises(FileExistsError):
-        write_picture(tmp_path / "m.png", field)
+        write_picture(tmp_path / "m.png", rig, field)
+    write_picture(tmp_path / "n.png", other, field)
+    assert (tmp_path / "n.png").read_bytes() != picture  # it says whose it is
