@@ -258,20 +258,31 @@ def _scores(made: Sequence[Result], where: str, turn: int) -> Iterator[Line]:
         )  # fmt: skip
 
 
+def _means(values: Array) -> Array:
+    """Mean of each column, over what is a number; not a number where there is none."""
+    given = np.isfinite(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(given, values, 0.0).sum(axis=0) / given.sum(axis=0))
+
+
 def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterator[Line]:
     held, errors, sds = list[Array](), list[Array](), list[Array]()
+    fields, off = list[Array](), list[Array]()
     for one in made:
         told = one["methods"][method]
         if not told["error"]:
             continue
         error, sd = (np.array(told[key], dtype=np.float64) for key in ("error", "sd"))
         passes, of_turn = np.array(told["pass"]), np.array(told["turn"]) == bool(turn)
+        before = len(held)
         cells = np.column_stack([passes, np.array(told["stretch"])])
         for cell in np.unique(cells[of_turn], axis=0):
             inside = of_turn & np.all(cells == cell, axis=1)
             given = np.isfinite(error[inside])
             share = np.sum(np.abs(error[inside]) < Z * sd[inside], axis=0) / np.maximum(given.sum(axis=0), 1)
             held.append(np.where(given.any(axis=0), share, math.nan))
+        fields.append(_means(np.reshape(held[before:], (-1, 6))))
+        off.append(_means((error / sd)[of_turn]))
         later = of_turn & (passes >= RUNNING_IN)
         errors.append(np.abs(error[later]))
         sds.append(sd[later])
@@ -285,6 +296,15 @@ def _lines(made: Sequence[Result], method: str, where: str, turn: int) -> Iterat
         f"{method}, {where}: 95 % intervals hold, {cells_given} stretches", percents(shares, 0), "≥ 92 %",
         bool(np.all(shares >= HOLD)) if judged else None, shares.tolist(),
     )  # fmt: skip
+    # Stretches of a field share its rig and its soil: only fields are independent.
+    by_field = np.array(fields)
+    spread = _means((by_field - _means(by_field)) ** 2)
+    error_of = np.sqrt(spread / np.maximum(np.isfinite(by_field).sum(axis=0) - 1, 1))
+    if len(by_field) > 1:
+        name = f"{method}, {where}: standard error of that, by fields"
+        yield Line(name, percents(error_of, 0), values=error_of.tolist())
+    shift = _means(np.array(off))
+    yield Line(f"{method}, {where}: mean error over sd, by fields", figures(shift), values=shift.tolist())
     error, sd = (np.nanmedian(np.concatenate(each), axis=0) for each in (errors, sds))
     yield Line(
         f"{method}, {where}: median |error| from the third pass", percents(error, 0), "C ≤ 15 %",

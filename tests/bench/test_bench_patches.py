@@ -53,6 +53,21 @@ def test_the_table_tells_right_numbers_from_wrong_ones(z: float, held: bool) -> 
     assert lines["the same of the oracle"].reached.startswith("10")
 
 
+@pytest.mark.parametrize("shift", [-1.0, 0.5])
+def test_a_shift_in_all_fields_is_told_from_width(shift: float) -> None:
+    """Errors in sds, of two fields: with the shift, and with three times the spread in the second."""
+    made = [*_made(0.8), *_made(2.4)]
+    for one in made:
+        told = one["methods"]["place"]
+        told["error"] = (np.array(told["error"]) + 0.2 * shift).tolist()
+        one["methods"] = {**one["methods"], "recommended": told}
+    lines = {line.figure: line.values for line in patches.lines_of(made)}
+    assert lines["place, rows: mean error over sd, by fields"] == pytest.approx([shift] * 6, abs=0.2)
+    assert lines["pem, rows: mean error over sd, by fields"] == pytest.approx([0.0] * 6, abs=0.2)
+    assert min(lines["place, rows: standard error of that, by fields"]) > 0.05
+    assert not any("standard error" in line.figure for line in patches.lines_of(made[:1]))
+
+
 def test_the_oracle_knows_the_covariance_that_a_field_was_drawn_with() -> None:
     """Of many fields drawn alike, at two places 15 m apart."""
     soil = Soil(patch_log_sd=0.2, patch_length=30.0, patch_across=1.5, patch_common=0.6)
