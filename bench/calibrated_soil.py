@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from calibration import CACHE, KeptLines, file_numbers, packaged, true_numbers
+from calibration import CACHE, KeptLines, file_numbers, true_numbers
 from estimation_study import fitted_at_once, numbers
 from numpy.typing import NDArray
 
@@ -27,6 +27,7 @@ from tilth.estimator.calibration.drive import MOUNTS
 from tilth.replay.readers.any_log import frames
 from tilth.schemas.flow import PARAMETERS, Estimate
 from tilth.schemas.machine import Machine, Quantity
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Spatial, as_json, from_json, parse_scenario
 from tilth.simulator.simulate import SimulationInput, simulate_to
 
@@ -50,7 +51,7 @@ downhill_deg = 60.0
 
 def log_of(plant: str, rig_seed: int) -> tuple[Path, dict[str, Any]]:
     """The other drive of the rig of a log of bench/calibration.py."""
-    machine, text = packaged()
+    machine, text = packaged_file()
     scenario = replace(parse_scenario(DRIVE), rig_seed=rig_seed)
     if plant == "spatial":
         scenario = replace(scenario, plant="spatial", spatial=Spatial(draw=True))
@@ -70,7 +71,7 @@ def log_of(plant: str, rig_seed: int) -> tuple[Path, dict[str, Any]]:
 
 def right_file(truth: dict[str, Any]) -> Machine:
     """The machine file as a laboratory would give it."""
-    file, _ = packaged()
+    file = packaged_file().machine
     true, said = true_numbers(truth, file), file_numbers(file, file)
     by = {name: true[name] - said[name] for name in true}
     delay = [truth["nuisances"][f"latency_{mount.value}"] for mount in MOUNTS]

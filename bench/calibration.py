@@ -19,7 +19,6 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,8 +41,9 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import drawn, scenario_of
 from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Spatial, as_json, from_json, parse_scenario
-from tilth.simulator.simulate import PACKAGED, SimulationInput, simulate_to
+from tilth.simulator.simulate import SimulationInput, simulate_to
 
 Array = NDArray[np.float64]
 
@@ -62,16 +62,10 @@ FOUND_AS: Final = {
 }  # fmt: skip
 
 
-def packaged() -> tuple[Machine, str]:
-    """The machine file of the demo."""
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    return parse_machine(text), text
-
-
 def right_file(plant: str, seed: int) -> tuple[Machine, str]:
     """That of a log: the demo's, or one of the fleet with the true numbers and its owner's sds."""
     if plant != FLEET:
-        return packaged()
+        return packaged_file()
     text = owners_text(drawn(seed), exact=True)
     return parse_machine(text), text
 

@@ -8,9 +8,8 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from pathlib import Path
+from typing import Final
 
 import estimation_study
 import held_out
@@ -33,11 +32,10 @@ from tilth.estimator.record.record import Segment
 from tilth.estimator.record.windows import WINDOWS
 from tilth.logger.fitting import ONE_THREAD
 from tilth.schemas.flow import Pose
-from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
-from tilth.simulator.simulate import PACKAGED
+from tilth.simulator.packaged import packaged_file
 
 Array = NDArray[np.float64]
+MACHINE: Final = packaged_file().machine
 
 ROW_WINDOWS = 6
 ROW_DEGREES = 1.8  # 0.4 degrees root mean square
@@ -74,17 +72,11 @@ class PeerResult:
     seconds: float
 
 
-@cache
-def machine() -> Machine:
-    """The packaged one."""
-    return parse_machine(resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8"))
-
-
 def linear(kind: str, seconds: float, seed: int) -> Linear:
-    run = linear_plant.plant(rig_of(machine()), seed, kind, seconds)
-    mean, covariance = linear_plant.prior(machine())
+    run = linear_plant.plant(rig_of(MACHINE), seed, kind, seconds)
+    mean, covariance = linear_plant.prior(MACHINE)
     found = scoring.maximise_posterior(
-        linear_plant.record_of(run), linear_plant.setup(machine()), mean, covariance
+        linear_plant.record_of(run), linear_plant.setup(MACHINE), mean, covariance
     )
     return Linear(
         found.mean[SIX] - np.log(run.rig.theta),
@@ -98,19 +90,22 @@ def linear(kind: str, seconds: float, seed: int) -> Linear:
 def merged_rows(seconds: float, seed: int) -> Linear:
     """Windows of row following on one rig, the posterior of each is the prior of the next; noise levels start
     again."""
-    first = linear_plant.plant(rig_of(machine()), seed, "row", seconds, ROW_DEGREES)
-    setup, (mean, before) = linear_plant.setup(machine()), linear_plant.prior(machine())
+    first = linear_plant.plant(rig_of(MACHINE), seed, "row", seconds, ROW_DEGREES)
+    setup, (mean, before) = (
+        linear_plant.setup(MACHINE),
+        linear_plant.prior(MACHINE),
+    )
     noise, covariance = before[NOISE, NOISE].copy(), before
     chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
     whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True
     for k in range(ROW_WINDOWS):
-        again = linear_plant.plant(rig_of(machine()), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
+        again = linear_plant.plant(rig_of(MACHINE), 1000 * (k + 1) + seed, "row", seconds, ROW_DEGREES)
         run = again._replace(rig=first.rig, zero=first.zero)
         found = scoring.maximise_posterior(linear_plant.record_of(run), setup, mean, covariance)
         mean, covariance = found.mean, found.covariance
         covariance[NOISE, :] = covariance[:, NOISE] = 0.0
         covariance[NOISE, NOISE] = noise
-        mean[NOISE] = linear_plant.prior(machine())[0][NOISE]
+        mean[NOISE] = linear_plant.prior(MACHINE)[0][NOISE]
         whole = whole + linear_plant.information(run)
         steps, converged = steps + found.iterations, converged and found.converged
     bound = np.sqrt(np.diag(np.linalg.inv(whole))[SIX])
@@ -119,21 +114,21 @@ def merged_rows(seconds: float, seed: int) -> Linear:
 
 
 def window(case: Case, count: int, length: int, seed: int) -> Fitted | None:
-    return estimation_study.window_of(machine(), case, seed, count, length)
+    return estimation_study.window_of(MACHINE, case, seed, count, length)
 
 
 def mean_bound(case: Case, made: list[Fitted]) -> Array:
     """Of the mean information of the runs, (6,)."""
     information = np.mean([m.information for m in made], axis=0)
-    return estimation_study.bound_of(information, case.believed(machine()))
+    return estimation_study.bound_of(information, case.believed(MACHINE))
 
 
 def trajectory(case: Case, length: int, seed: int) -> tuple[float, ...] | None:
-    return held_out.trajectory_error(machine(), case, seed, length)
+    return held_out.trajectory_error(MACHINE, case, seed, length)
 
 
 def follow(case: Case, seed: int) -> Followed:
-    return estimation_study.followed(estimation_study.driven(machine(), case, seed))
+    return estimation_study.followed(estimation_study.driven(MACHINE, case, seed))
 
 
 # Other programs on the same record.
@@ -141,12 +136,12 @@ def follow(case: Case, seed: int) -> Followed:
 
 def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
     """Each way on one record of the linear plant, random steering."""
-    run = linear_plant.plant(rig_of(machine()), seed, "random", seconds)
-    record, (mean, covariance) = linear_plant.record_of(run), linear_plant.prior(machine())
-    setup, sd = linear_plant.setup(machine()), np.sqrt(np.diag(covariance))
+    run = linear_plant.plant(rig_of(MACHINE), seed, "random", seconds)
+    record, (mean, covariance) = linear_plant.record_of(run), linear_plant.prior(MACHINE)
+    setup, sd = linear_plant.setup(MACHINE), np.sqrt(np.diag(covariance))
     y, wheel = record.rows[:, 4].reshape(-1, 4), record.ticks[:, 0]
     sds = np.repeat(linear_plant.SDS, 2)
-    white = linear_plant.white(rig_of(machine()))
+    white = linear_plant.white(rig_of(MACHINE))
     noise_mean = [*np.log(white), *np.log(linear_plant.SDS)]
     noise_sd = [*sd[NOISE][:3], sd[AT["s_yaw_rate"]], sd[AT["s_position"]]]
     data = (y, wheel, setup.geometry, linear_plant.SPEED)
@@ -181,16 +176,16 @@ def other_programs(seconds: float, seed: int) -> dict[str, PeerResult]:
 def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, ...]]]:
     """(figure, reached, to reach, whether held, values) of what takes time, on this computer as it is."""
     case, length = estimation_study.HELD_OUT, round(WINDOWS.longest * scale)
-    run = estimation_study.driven(machine(), case, 1, max(40.0 * scale, 12.0))
+    run = estimation_study.driven(MACHINE, case, 1, max(40.0 * scale, 12.0))
     given = estimation_study.poses_and_segments(run)
     record = estimation_study.windows([segment for _, segment in given if segment is not None], length)[0]
-    mean, sd = unknowns.prior(machine())
+    mean, sd = unknowns.prior(MACHINE)
     job = pem.Job(0, 0, record, mean, np.diag(sd**2))
-    pem.fit(machine(), job)
-    fit = best(lambda: pem.fit(machine(), job), ROUNDS)
-    linear_run = linear_plant.plant(rig_of(machine()), 1, "random", 30.0 * scale)
-    own, first = linear_plant.record_of(linear_run), linear_plant.prior(machine())
-    known = best(lambda: scoring.maximise_posterior(own, linear_plant.setup(machine()), *first), ROUNDS)
+    pem.fit(MACHINE, job)
+    fit = best(lambda: pem.fit(MACHINE, job), ROUNDS)
+    linear_run = linear_plant.plant(rig_of(MACHINE), 1, "random", 30.0 * scale)
+    own, first = linear_plant.record_of(linear_run), linear_plant.prior(MACHINE)
+    known = best(lambda: scoring.maximise_posterior(own, linear_plant.setup(MACHINE), *first), ROUNDS)
     imported, cold = _cold(job)
     rows = [
         ("fit of a window at 50 Hz, all nuisances", f"{1e3 * fit:.0f} ms", "≤ 250 ms", fit <= 0.25, (fit,)),
@@ -207,16 +202,16 @@ def speeds(scale: float) -> list[tuple[str, str, str, bool | None, tuple[float, 
 
 def _track(given: list[tuple[Pose, Segment | None]]) -> None:
     row = ROW["tracker"]
-    state = row.initial(machine())
+    state = row.initial(MACHINE)
     for pose, segment in given:
-        row.take(state, machine(), pose, segment)
+        row.take(state, MACHINE, pose, segment)
 
 
 def _cold(job: pem.Job) -> tuple[float, float]:
     """(import, fit) of a new process, s."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "job"
-        path.write_bytes(pickle.dumps((machine(), job)))
+        path.write_bytes(pickle.dumps((MACHINE, job)))
         made = subprocess.run(
             [sys.executable, "-c", COLD, str(path)],
             env={**os.environ, **ONE_THREAD}, capture_output=True, text=True, check=True,

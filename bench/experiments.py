@@ -12,7 +12,6 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import resources
 from typing import Final
 
 import numpy as np
@@ -42,12 +41,11 @@ from tilth.estimator.record import record_builder
 from tilth.schemas.experiment import AnyRun, DrivingLimits, ExperimentPlan, Rectangle, StepRun
 from tilth.schemas.flow import PARAMETERS, Pose
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.sentences import notice_sentence
 from tilth.simulator.drive import drive
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Soil, Spatial
-from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import host_clock, traffic
 
@@ -67,11 +65,6 @@ PLANTS: Final = {
 PERSON: Final = Person(looks_away=0.01)
 LOG_S: Final = 64.0  # of random steering before
 WITHIN: Final = 0.15
-
-
-def machine() -> Machine:
-    """The packaged one."""
-    return parse_machine(resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +150,7 @@ def found_sd(machine: Machine, every: Linearised, count: int | None = None) -> A
 
 
 def compare(plant: str, seeds: Sequence[int]) -> None:
-    rig, scenario = machine(), PLANTS[plant]
+    rig, scenario = packaged_file().machine, PLANTS[plant]
     known = from_machine(rig)
     plan = plan_of(rig, [kind for kind in NUMBERS if kind != "step"])
     print(f"{plant}: {', '.join(_words(run) for run in plan.run)}", flush=True)
@@ -206,7 +199,7 @@ def held_steps(plan: ExperimentPlan) -> ExperimentPlan:
 
 def _largest_step(plan: ExperimentPlan) -> float:
     wanted = WantedPlan("steps", SPEED, 20.0, 3, 1, FIELD, plan.limits, ("step",))
-    return float(largest(from_machine(machine()), wanted, "step", {}).amplitude_deg)
+    return float(largest(from_machine(packaged_file().machine), wanted, "step", {}).amplitude_deg)
 
 
 def speedup(rig: Machine, known: Known, made: DrivenPlan, whole: Linearised, steps: DrivenPlan) -> float:

@@ -14,7 +14,6 @@ import math
 from dataclasses import replace
 from typing import Final, get_args
 
-import estimation_runs
 import numpy as np
 from estimation_study import Driven, followed
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from tilth.schemas.flow import Estimate
 from tilth.schemas.machine import Machine
 from tilth.schemas.spread import WITHIN
 from tilth.simulator.drive import drive
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import STEP_S, Parameter
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=6.0, help="of each day")
     parser.add_argument("--one-soil", action="store_true", help="without patches and wet end")
     args = parser.parse_args()
-    machine = estimation_runs.machine()
+    machine = packaged_file().machine
     ways: dict[str, list[tuple[Array, float, float]]] = {}
     for k in range(args.first, args.first + args.count):
         first, later = (day(machine, k, number, args.minutes, args.one_soil) for number in (0, 1))

@@ -18,7 +18,6 @@ import math
 from argparse import ArgumentParser
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib import resources
 from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -30,6 +29,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import MOST_TOWED, drawn, scenario_of
 from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Ground, LoadChange, Scenario, Soil, SoilChange, Spatial
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -76,8 +76,7 @@ class LoadedRig(NamedTuple):
 
 
 def packaged(case: Case, seed: int, plant: Plant) -> LoadedRig:
-    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
-    machine, drive = parse_machine(text), scenario(case, plant)
+    (machine, text), drive = packaged_file(), scenario(case, plant)
     theta = draw(machine, seed, drive)
     return LoadedRig(text, machine, EMPTY, drive, [theta[name] for name in PARAMETERS[:3]])
 

@@ -14,12 +14,10 @@ of their own. Lost is what was put, less what is in the file.
 import argparse
 import json
 import multiprocessing
-import os
 import socket
 import tempfile
 import time
 from collections import Counter
-from importlib import resources
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from queue import SimpleQueue
@@ -28,13 +26,14 @@ from typing import Any
 import zenoh
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from memory import resident_mb
 
 from tilth.estimator import fold
 from tilth.logger.zenoh.sink import ZenohSink
 from tilth.schemas.channels import CHANNEL, payload
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Scenario
-from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.traffic import simulate
 
 ROOT = "fleet"
@@ -45,8 +44,7 @@ Put = tuple[float, str, bytes]  # seconds from the beginning, topic, payload
 
 def published(seconds: float) -> list[Put]:
     """What a daemon puts on Zenoh in a drive, without its status."""
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    state, puts, begin_ns = fold.initial(parse_machine(text)), list[Put](), 0
+    state, puts, begin_ns = fold.initial(packaged_file().machine), list[Put](), 0
     for frame in simulate(state.machine, 1, seconds, Scenario(clock_offset_s=0.0)):
         begin_ns = begin_ns or frame.t_ns
         for one in fold.step(state, frame):
@@ -70,10 +68,10 @@ def config_of(mode: str, endpoint: str, patient: bool = False) -> zenoh.Config:
 def route(endpoint: str, patient: bool, ready: Event, over: Event, told: Any) -> None:
     """A process: the router."""
     with zenoh.open(config_of("router", endpoint, patient)):
-        before = cpu_s()
+        before = time.process_time()
         ready.set()
         over.wait()
-        told.put(("router", cpu_s() - before, resident_mb()))
+        told.put(("router", time.process_time() - before, resident_mb()))
 
 
 def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> None:
@@ -83,7 +81,7 @@ def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> N
         writer, channels = Writer(stream, compression=CompressionType.ZSTD), dict[str, int]()
         writer.start()
         subscriber = session.declare_subscriber(f"{ROOT}/**", came.put)
-        before = cpu_s()
+        before = time.process_time()
         ready.set()
         while not over.is_set() or not came.empty():
             if came.empty():
@@ -96,7 +94,7 @@ def record(endpoint: str, path: Path, ready: Event, over: Event, told: Any) -> N
             writer.add_message(channels[key], t_ns, sample.payload.to_bytes(), t_ns)
         subscriber.undeclare()
         writer.finish()
-    told.put(("recorder", cpu_s() - before, resident_mb()))
+    told.put(("recorder", time.process_time() - before, resident_mb()))
 
 
 def publish(
@@ -112,8 +110,7 @@ def publish(
     told: Any,
 ) -> None:
     """A process: some daemons, in real time; tells how much each has put."""
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    machine = parse_machine(text.replace('prefix = "tilth"', f'prefix = "{ROOT}"'))
+    machine = parse_machine(packaged_file().text.replace('prefix = "tilth"', f'prefix = "{ROOT}"'))
     sessions = [zenoh.open(config_of("client", endpoint, patient)) for _ in numbers[::together]]
     sinks = []
     for k, number in enumerate(numbers):
@@ -124,7 +121,7 @@ def publish(
         sinks.append(ZenohSink(of, session=sessions[k // together]))
     ready.set()
     begin.wait()
-    before, began, count = cpu_s(), time.monotonic(), 0
+    before, began, count = time.process_time(), time.monotonic(), 0
     step = 1.0 / max(len(sinks), 1)
     order = sorted(
         (t + k * step, k, topic, data)
@@ -142,16 +139,7 @@ def publish(
         count += 1
     time.sleep(SETTLES_S)
     failures = sum(sink.failures for sink in sinks)
-    told.put(("daemons", cpu_s() - before, resident_mb(), count, failures, latest))
-
-
-def cpu_s() -> float:
-    return sum(os.times()[:2])
-
-
-def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    told.put(("daemons", time.process_time() - before, resident_mb(), count, failures, latest))
 
 
 def main() -> None:

@@ -40,6 +40,7 @@ from tilth.monitor.view import View, installed_version
 from tilth.schemas.channels import CHANNEL
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.packaged import packaged_file
 
 CHROMIUM = os.environ.get("TILTH_CHROMIUM", "/usr/bin/chromium-headless-shell")
 HOUR_S = 3600
@@ -155,8 +156,7 @@ async def drawing_ms(page: Page) -> float:
 
 
 async def long_day(hours: tuple[float, ...]) -> None:
-    text = (Path(__file__).resolve().parents[1] / "deploy/machines/jd7930-parker500.toml").read_text()
-    view = View(Rehearsed(text), "")  # type: ignore[arg-type]
+    view = View(Rehearsed(packaged_file().text), "")  # type: ignore[arg-type]
     told: asyncio.Queue[str] = asyncio.Queue(100)
 
     async def live(socket: WebSocket) -> None:

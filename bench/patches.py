@@ -19,7 +19,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, Final, Literal, get_args
 
-import estimation_runs
 import numpy as np
 import spatial_rows
 from estimation_study import Driven, followed
@@ -43,6 +42,7 @@ from tilth.estimator.models.nonlinear import STATES
 from tilth.schemas.flow import Estimate
 from tilth.simulator.drive import drive
 from tilth.simulator.ground import PATCH_BAND, axles_of, share
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import (
     STEP_S,
     Autosteer,
@@ -171,7 +171,7 @@ def _into(end: SoilChange, truth: Truth, axles: Array) -> list[int]:
 def follow(first: int, minutes: float, one_soil: bool, plant: Plant, k: int) -> Result:
     """Field number first + k: what was published in it, beside the truth."""
     began, asked = time.perf_counter(), scenario_for(first + k, minutes, one_soil, plant)
-    machine = estimation_runs.machine()
+    machine = packaged_file().machine
     truth = drive(machine, first + k, asked.seconds, asked)
     run = Driven(machine, truth, machine)
     watch = Watch(run, asked)

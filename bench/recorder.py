@@ -10,6 +10,8 @@ can_frame in them. `pytest -m vm_systemd -n 0 tests/vm/test_beside.py` sets it b
 """
 
 # ruff: noqa: E402
+from memory import resident_mb
+
 from tilth.logger.can.lean_can import import_can
 
 import_can()  # as `tilth run` does, before anybody else imports python-can
@@ -18,13 +20,10 @@ import argparse
 import gc
 import json
 import multiprocessing
-import os
-import resource
 import signal
 import socket
 import tempfile
 import time
-from importlib import resources
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -45,6 +44,7 @@ from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.notices import Notice
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import event_sentence
+from tilth.simulator.packaged import packaged_file
 
 BUSES = 4
 RATE = 7600.0  # frames/s: four full buses of 250 kbit/s
@@ -90,11 +90,6 @@ class Recorder:
         self.events.append((kind, told))
 
 
-def cpu_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
-
-
 def status_words(status: pb.Status) -> str:
     """A line for a script to wait for."""
     buses = (f"{bus.name} {bus.state} {bus.controller}: {bus.reason}" for bus in status.buses)
@@ -107,20 +102,20 @@ def record(machine_path: Path, folder: Path) -> None:
     recorder = Recorder(parse_machine(text), text, folder)
     ended: list[int] = []
     signal.signal(signal.SIGINT, lambda number, frame: ended.append(number))
-    before, told_ns = cpu_s(), 0
+    before, told_ns = time.process_time(), 0
     while not ended:
         recorder.turn()
         if recorder.status.t_ns != told_ns:
             told_ns = recorder.status.t_ns
             print(status_words(recorder.status), flush=True)
-    spent = cpu_s() - before
+    spent = time.process_time() - before
     recorder.close()
     print(json.dumps({"frames": recorder.recording.frames, "cpu_s": spent}), flush=True)
 
 
 def rig() -> tuple[Machine, str]:
     """The demo's machine with four SocketCAN buses."""
-    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
+    text = packaged_file().text
     start, end = text.index("[[bus]]"), text.index("[[receiver]]")
     row = '[[bus]]\nname = "can{0}"\ninterface = "socketcan"\nchannel = "can{0}"\n\n'
     text = text[:start] + "".join(row.format(i) for i in range(BUSES)) + text[end:]
@@ -203,13 +198,13 @@ def cost(seconds: float) -> None:
         away = []
         load.begin()
         recorder.turn()
-        before, last = cpu_s(), time.monotonic()
+        before, last = time.process_time(), time.monotonic()
         while not load.over():
             recorder.turn()
             now = time.monotonic()
             away.append(now - last)
             last = now
-        spent = cpu_s() - before
+        spent = time.process_time() - before
         recorder.close()
         size = sum(path.stat().st_size for path in Path(folder).glob("*.mcap"))
     sent, took_s = load.sent()
@@ -237,14 +232,14 @@ def soak(seconds: float) -> None:
         for _ in range(20):
             daemon.turn(0.01)
         load.begin()
-        before, began, sizes = cpu_s(), time.monotonic(), [resident_mb()]
+        before, began, sizes = time.process_time(), time.monotonic(), [resident_mb()]
         while not load.over():
             daemon.turn()
             if time.monotonic() - began > len(sizes) * seconds / 10:
                 sizes.append(resident_mb())
         while daemon.turn():  # what a busy computer has not yet taken
             continue
-        share = (cpu_s() - before) / (time.monotonic() - began)
+        share = (time.process_time() - before) / (time.monotonic() - began)
         summary = daemon.close()
         files = [path.stat().st_size for path in summary.log_files]
     sent, took_s = load.sent()
@@ -260,11 +255,6 @@ def soak(seconds: float) -> None:
         "bytes_per_frame": round(sum(files) / max(summary.recorded, 1), 1),
     }
     print(json.dumps(said))
-
-
-def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def main() -> None:

@@ -21,7 +21,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
-from importlib import resources
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -43,14 +42,14 @@ from tilth.replay.readers.any_log import frames
 from tilth.schemas.decode import Decoder
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import MachineFile, parse_machine
+from tilth.schemas.machine_toml import MachineFile
 from tilth.schemas.proto.tilth_pb2 import CanFrame
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Scenario
 from tilth.simulator.traffic import simulate
 
 ROUNDS = 3
 FASTER = {"replay of frames alone, fits made": 100.0, "replay": 150.0}  # than real time: what is aimed at
-MACHINE = "machines/jd7930-parker500.toml"
 
 # What a script that only wants positions, speeds, attitudes and angles would have: PGN -> layout.
 LAYOUTS = {
@@ -133,8 +132,7 @@ def short(seconds: float) -> dict[str, float]:
 def logged_drive(path: Path, seconds: float, own: bool = False) -> tuple[Machine, str, list[Frame]]:
     """Drive the packaged machine and log it as the daemon does, with its results. own: the
     rig's frames alone."""
-    text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
-    machine = parse_machine(text)
+    machine, text = packaged_file()
     rows = list(simulate(machine, 1, seconds, Scenario(other_traffic=False) if own else None))
     fold = GuardedFold(machine)
     writer = LogWriter(path, MachineFile(machine, text), RunPart("bench", 1, 0))

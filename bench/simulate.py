@@ -12,7 +12,6 @@ import platform
 import tempfile
 import time
 from functools import partial
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +21,10 @@ from timing import best
 
 from tilth.estimator.models import nonlinear
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Scenario, parse_scenario
-from tilth.simulator.simulate import PACKAGED, SimulationInput, simulate_to
+from tilth.simulator.simulate import SimulationInput, simulate_to
 from tilth.simulator.tractor import Truth
 from tilth.simulator.traffic import traffic
 
@@ -85,8 +84,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Speed of the virtual tractor.")
     parser.add_argument("--seconds", type=float, default=90.0, help="of driving")
     args = parser.parse_args()
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    machine = parse_machine(text)
+    machine, text = packaged_file()
     print(f"{os.cpu_count()} cores, Python {platform.python_version()}, {args.seconds:.0f} s of driving")
     plant(machine, args.seconds)
     scenarios(machine, text, args.seconds)

@@ -8,15 +8,13 @@ Beside it the planar plant on the same drive, which has no bodies in space to so
 import argparse
 import os
 import platform
-from importlib import resources
 
 from timing import best
 
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import DrivenManoeuvre, Ground, Scenario, Spatial
-from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
 STEERING = DrivenManoeuvre("random", 6.0)
@@ -44,7 +42,7 @@ def main() -> None:
         check_installed()
     except NotInstalled as error:
         raise SystemExit(str(error)) from None
-    machine = parse_machine(resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8"))
+    machine = packaged_file().machine
     print(f"{os.cpu_count()} cores, Python {platform.python_version()}, {args.seconds:.0f} s of driving")
     for name, scenario in CASES.items():
         print(f"{name:22} {rate(machine, scenario, args.seconds):7.0f} times real time")

@@ -13,7 +13,6 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -23,9 +22,9 @@ from tilth.logger.log.run_log import FLUSH_NS, Recording
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto.tilth_pb2 import CanFrame
+from tilth.simulator.packaged import packaged_file
 
 PER_S = 7600
-MACHINE = "machines/jd7930-parker500.toml"
 
 
 def paced(seconds: float, take: Callable[[Frame], None], tick: Callable[[int], None]) -> tuple[float, float]:
@@ -48,7 +47,7 @@ def paced(seconds: float, take: Callable[[Frame], None], tick: Callable[[int], N
 
 
 def recorder(folder: Path, seconds: float) -> tuple[float, float]:
-    text = resources.files("tilth.deploy").joinpath(MACHINE).read_text(encoding="utf-8")
+    text = packaged_file().text
     text = text.replace("[log]", "[log]\nrotate_minutes = 0.034")
     recording = Recording(
         folder, MachineFile(parse_machine(text), text), Clock(), lambda *message: None, lambda: "{}"

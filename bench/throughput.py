@@ -12,6 +12,8 @@ tractor ECU 30, and 452 that nobody wants: 800 together. (b) plays the same on e
 """
 
 # ruff: noqa: E402
+from memory import resident_mb
+
 from tilth.logger.can.lean_can import import_can
 
 import_can()  # as `tilth run` does, before anybody else imports python-can
@@ -21,12 +23,10 @@ import json
 import multiprocessing
 import os
 import platform
-import resource
 import socket
 import tempfile
 import time
 from collections.abc import Iterator
-from importlib import resources
 from itertools import cycle, islice
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -46,6 +46,7 @@ from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.traffic import simulate
 
 GROUP = "239.74.163.2"
@@ -62,7 +63,7 @@ def free_port(kind: int) -> int:
 
 def rig(ports: list[int]) -> tuple[Machine, str]:
     """The demo's machine with as many loopback buses."""
-    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text()
+    text = packaged_file().text
     start, end = text.index("[[bus]]"), text.index("[[receiver]]")
     buses = "".join(
         f'[[bus]]\nname = "can{i}"\ninterface = "udp_multicast"\nchannel = "{GROUP}"\n'
@@ -166,9 +167,9 @@ def load(seconds: float) -> None:
     child = Child(send, ports, int(RATE * seconds), RATE, seconds)
     child.ready()
     with tempfile.TemporaryDirectory() as folder:
-        began, cpu = time.monotonic(), cpu_s()
+        began, cpu = time.monotonic(), time.process_time()
         summary, sent, took_s, _ = _until_sent(machine, text, Path(folder), child)
-        share = (cpu_s() - cpu) / (time.monotonic() - began)
+        share = (time.process_time() - cpu) / (time.monotonic() - began)
         size = sum(path.stat().st_size for path in summary.log_files)
     lost = f"{sent - summary.recorded} lost ({summary.lost} of them known to the kernel)"
     print(f"(b) {sent} frames sent on {BUSES} buses in {took_s:.1f} s ({sent / took_s:.0f}/s),")
@@ -184,9 +185,9 @@ def latency(seconds: float) -> None:
     key = f"{machine.zenoh.prefix}/{machine.name}/{SIMULATED_SUFFIX}/pose"  # of a simulation, as this is
     listener = Child(subscribe, machine.zenoh.listen, key)
     with tempfile.TemporaryDirectory() as folder:
-        cpu = cpu_s()
+        cpu = time.process_time()
         summary, sent, took_s, driving = _until_sent(machine, text, Path(folder), child, listener)
-        share = (cpu_s() - cpu) / took_s
+        share = (time.process_time() - cpu) / took_s
         listener.go()
         heard = listener.answer()
         caused = [row for path in summary.log_files for row in _poses(path)]
@@ -251,10 +252,10 @@ def _until_sent(
             if listener is not None:
                 listener.ready()
             child.go()
-            state["cpu"] = cpu_s()
+            state["cpu"] = time.process_time()
         if state["answer"] is None and state["turns"] > 10 and child.line.poll():
             state["answer"], state["end"] = child.answer(), time.monotonic() + SETTLE_S
-            state["cpu"] = cpu_s() - state["cpu"]
+            state["cpu"] = time.process_time() - state["cpu"]
         return state["answer"] is not None and time.monotonic() > state["end"]
 
     summary = run_daemon(
@@ -273,16 +274,6 @@ def _poses(path: Path) -> Iterator[tuple[bytes, int]]:
                 rx_ns = pb.CanFrame.FromString(message.data).rx_ns
             elif channel.topic == "/pose":
                 yield message.data, rx_ns
-
-
-def cpu_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
-
-
-def resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def processor() -> str:

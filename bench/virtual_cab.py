@@ -11,7 +11,6 @@ import argparse
 import logging
 import signal
 import sys
-from importlib import resources
 from pathlib import Path
 
 from prompted_live import virtual_cab
@@ -19,10 +18,10 @@ from prompted_live import virtual_cab
 from tilth.cli import WrongUse
 from tilth.logger.daemon import run_daemon
 from tilth.schemas.experiment import ExperimentPlan, PlanError, parse_plan
-from tilth.schemas.machine_toml import MachineFile, parse_machine
+from tilth.schemas.machine_toml import MachineFile
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
-from tilth.simulator.simulate import PACKAGED
 
 SECONDS = 7200.0  # at most
 ROUGH = Ground(roll_sd_deg=0.7, force_sd=0.015)
@@ -74,9 +73,9 @@ def main() -> int:
     )
     args = parser.parse_args()
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    machine, text = packaged_file()
     try:
-        plan = plan_of(args.plan, parse_machine(text).name)
+        plan = plan_of(args.plan, machine.name)
     except WrongUse as error:
         print(error, file=sys.stderr)
         return 2

@@ -35,7 +35,6 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -54,6 +53,7 @@ from tilth.schemas.sentences import sentence
 from tilth.simulator.drive import drive
 from tilth.simulator.fleet import drawn, headlands_of, scenario_of
 from tilth.simulator.fleet_files import owners_text, text_of, true_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import (
     DrivenManoeuvre,
     Fieldwork,
@@ -63,7 +63,6 @@ from tilth.simulator.scenario import (
     Turns,
     parse_scenario,
 )
-from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import Truth
 
 Array = NDArray[np.float64]
@@ -119,8 +118,7 @@ class FileChange:
 
 def packaged() -> Raw:
     """The demo's file with every number that it may hold written out."""
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    return written_out(tomllib.loads(text))
+    return written_out(tomllib.loads(packaged_file().text))
 
 
 def written_out(raw: Raw) -> Raw:

@@ -7,7 +7,6 @@ import math
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 
 from rich.console import Console
@@ -23,6 +22,7 @@ from tilth.schemas.readable import reason_of
 from tilth.simulator.drive import drive
 from tilth.simulator.fleet import drawn, scenario_of
 from tilth.simulator.fleet_files import owners_text, true_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import (
     CannotBeDriven,
     Scenario,
@@ -31,7 +31,7 @@ from tilth.simulator.scenario import (
     check_mounts,
     parse_scenario,
 )
-from tilth.simulator.simulate import PACKAGED, WRITERS, Simulated, SimulationInput, files_of, simulate_to
+from tilth.simulator.simulate import WRITERS, Simulated, SimulationInput, files_of, simulate_to
 from tilth.simulator.spatial.engine import NotInstalled, check_installed
 
 _say = partial(say, "simulate")
@@ -199,8 +199,7 @@ def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str
     if named is not None:
         machine, text = read_machine(named)
         return machine, text, None
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
-    return parse_machine(text), text, None
+    return *packaged_file(), None
 
 
 def _check_out(log: Path) -> None:

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -31,8 +30,8 @@ from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 from tilth.schemas.sentences import sentence
 from tilth.schemas.spread import interval, scale_of, unit_of
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Ground, RollSensor, Scenario, Soil, as_json
-from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.tractor import draw
 
 SPATIAL: Final = Scenario(
@@ -96,17 +95,17 @@ def run_demo(
     told the Zenoh endpoint before it begins.
     """
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
-    packaged = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    packaged = packaged_file()
     timed = _Timed(display or NoDisplay(), seconds)
-    kept = compiling.load(parse_machine(packaged))  # then the daemon estimates from its first frame on
-    endpoint = free_endpoint(parse_machine(packaged).zenoh.listen[0])
+    kept = compiling.load(packaged.machine)  # then the daemon estimates from its first frame on
+    endpoint = free_endpoint(packaged.machine.zenoh.listen[0])
     if watch is not None:
         watch(endpoint)
     scenario = scenario or Scenario()
     lasting = seconds if kept else seconds + COMPILING_S
-    order = {"machine_text": packaged, "seed": seed, "seconds": lasting, "scenario": as_json(scenario)}
+    order = {"machine_text": packaged.text, "seed": seed, "seconds": lasting, "scenario": as_json(scenario)}
     with closing(Player(order, stop, say)) as player:
-        text = on_loopback(packaged, player.port)
+        text = on_loopback(packaged.text, player.port)
         text = text.replace("[zenoh]\n", f'[zenoh]\nlisten = ["{endpoint}"]\n')
         machine = parse_machine(text)
         summary = run_daemon(

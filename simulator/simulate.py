@@ -36,7 +36,6 @@ from tilth.simulator.traffic import host_clock, traffic
 
 Array = NDArray[np.float64]
 
-PACKAGED: Final = "machines/jd7930-parker500.toml"  # of tilth.deploy: what is driven if nothing else is said
 KEEP: Final = 2  # of the samples every other goes into the table: 50 a second
 SHOWN: Final = 4096  # frames between two words on progress
 

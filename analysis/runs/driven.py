@@ -3,17 +3,19 @@
 It is packed minute by minute: as JSON in one piece an hour takes 200 MB, and a fit asks for a minute of it.
 """
 
-import base64
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
-from tilth.analysis.runs.kept import key_of, packed, unpacked
+from tilth.analysis.runs.kept import compressed, expanded, key_of, load_bytes, store_bytes
 from tilth.estimator.record.record import Segment
 from tilth.schemas.flow import Pose
+from tilth.schemas.log_settings import Log
 
 BLOCK: Final = 300  # poses, a minute, that are packed together
+_HEAD: Final = struct.Struct("<qqI")  # of a block: its two times, and its bytes
 _ENDS: Final = 1 << 20  # bytes at both ends of a file that tell it from another
 
 
@@ -29,23 +31,16 @@ class Driven:
         return self.pose.t_ns
 
 
-@dataclass(frozen=True, slots=True)
-class DrivenBlock:
+class DrivenBlock(NamedTuple):
     """Up to BLOCK poses that follow each other."""
 
-    first_ns: int  # t_ns of the earliest, and of the last
+    first_ns: int  # t_ns of the earliest, and of the latest
     last_ns: int
-    text: str  # base 64 of what `packed` gives
+    told: bytes  # tuple[Driven, ...], `compressed`
 
     def driven(self) -> tuple[Driven, ...] | None:
-        """What `of` was given; None where it was stored in another form."""
-        return unpacked(base64.b64decode(self.text), tuple[Driven, ...])
-
-    @classmethod
-    def of(cls, driven: Sequence[Driven]) -> "DrivenBlock":
-        """driven: at least one."""
-        times = [at.t_ns for at in driven]
-        return cls(min(times), max(times), base64.b64encode(packed(tuple(driven))).decode("ascii"))
+        """The poses; None where they were stored in another form."""
+        return expanded(self.told, tuple[Driven, ...])
 
 
 class DrivingPacker:
@@ -68,8 +63,31 @@ class DrivingPacker:
         return tuple(self._blocks)
 
     def _close(self) -> None:
-        self._blocks.append(DrivenBlock.of(self._open))
+        times = [at.t_ns for at in self._open]
+        self._blocks.append(DrivenBlock(min(times), max(times), compressed(tuple(self._open))))
         self._open = []
+
+
+def store_blocks(path: Path, blocks: Sequence[DrivenBlock], log: Log) -> None:
+    """Raises nothing, as `store`."""
+    told = (_HEAD.pack(one.first_ns, one.last_ns, len(one.told)) + one.told for one in blocks)
+    store_bytes(path, b"".join(told), log)
+
+
+def load_blocks(path: Path) -> tuple[DrivenBlock, ...] | None:
+    """What `store_blocks` wrote there; None as from `load`."""
+    told, at = load_bytes(path), 0
+    if told is None:
+        return None
+    blocks = list[DrivenBlock]()
+    try:
+        while at < len(told):
+            first_ns, last_ns, size = _HEAD.unpack_from(told, at)
+            at += _HEAD.size + size
+            blocks.append(DrivenBlock(first_ns, last_ns, told[at - size : at]))
+    except struct.error:
+        return None
+    return tuple(blocks)
 
 
 def kept_driving(folder: Path, files: Sequence[Path], machine_sha256: str) -> Path:

@@ -10,8 +10,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from tilth.analysis.runs.driven import Driven, DrivenBlock, DrivingPacker, kept_driving
-from tilth.analysis.runs.kept import Progress, cache_folder, load, no_progress, store
+from tilth.analysis.runs.driven import (
+    Driven,
+    DrivenBlock,
+    DrivingPacker,
+    kept_driving,
+    load_blocks,
+    store_blocks,
+)
+from tilth.analysis.runs.kept import Progress, cache_folder, no_progress
 from tilth.analysis.runs.run import Run
 from tilth.estimator import fold
 from tilth.estimator.snapshot import NotRestorable, restore_decoder
@@ -40,7 +47,7 @@ def driving(
             packer.add(one)
         blocks = packer.blocks()
         if not damage:  # what is kept is known by both ends of a file alone
-            store(kept, blocks, run.machine.log)
+            store_blocks(kept, blocks, run.machine.log)
         for text in damage:
             run.reader.tell(text)
         found = _within(blocks, between_ns)
@@ -94,4 +101,4 @@ def _take_addresses(run: Run, state: fold.State, stored: Snapshot) -> None:
 @lru_cache(maxsize=1)
 def _loaded(kept: Path, _written_ns: int) -> tuple[DrivenBlock, ...] | None:
     """Segments of a run are asked for one by one; a file that was written again is read again."""
-    return load(kept, tuple[DrivenBlock, ...])
+    return load_blocks(kept)

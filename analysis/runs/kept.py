@@ -22,17 +22,15 @@ from tilth.schemas.log_settings import Log
 
 Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
-FORM: Final = 11  # of what is kept; grows when its meaning changes
+FORM: Final = 12  # of what is kept; grows when its meaning changes
 SMALL_BYTES: Final = 20e6
 _BLOCK: Final = 1 << 20
-_HEAD: Final = b"tilth kept 1\n"  # then the SHA-256 of all that follows, which is JSON, packed
+_HEAD: Final = b"tilth kept 1\n"  # then the SHA-256 of all that follows
 _DIGEST: Final = hashlib.sha256().digest_size
-
-Kept = TypeVar("Kept")
-
-
 MOST_BYTES: Final = 10e9  # of all that is kept
 _OURS: Final = re.compile(r"[0-9a-f]{32}(\.\d+)?\.\w+|sensitivity/[0-9a-f]{16}/\d+(\.npz|\.\d+\.unfinished)")
+
+Kept = TypeVar("Kept")
 
 
 def no_progress(done: int, of: int) -> None:
@@ -79,35 +77,60 @@ def load(path: Path, kind: type[Kept]) -> Kept | None:
 
     It is data and no more: a file that somebody has prepared can be wrong, and runs nothing.
     """
+    told = load_bytes(path)
+    return None if told is None else expanded(told, kind)
+
+
+def load_bytes(path: Path) -> bytes | None:
+    """The same of `store_bytes`."""
     try:
-        return unpacked(path.read_bytes() if path.is_file() else b"", kind)
+        return _unsealed(path.read_bytes())
     except OSError:
         return None
 
 
+def store(path: Path, found: object, log: Log) -> None:
+    """Raises nothing: a cache that cannot be written costs time, no result. Nor is one on a full disk."""
+    store_bytes(path, compressed(found), log)
+
+
+def store_bytes(path: Path, told: bytes, log: Log) -> None:
+    """As `store`."""
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if has_room(path.parent, log):
+            whole_file.write(path, _sealed(told))
+
+
+def packed(found: object) -> bytes:
+    """As `store` writes it."""
+    return _sealed(compressed(found))
+
+
 def unpacked(stored: bytes, kind: type[Kept]) -> Kept | None:
     """Of the bytes of `packed`; None of any others."""
+    told = _unsealed(stored)
+    return None if told is None else expanded(told, kind)
+
+
+def compressed(found: object) -> bytes:
+    """As JSON, without a digest."""
+    return zstandard.compress(json.dumps(to_json_data(found)).encode(), 1)
+
+
+def expanded(told: bytes, kind: type[Kept]) -> Kept | None:
+    """Of the bytes of `compressed`; None of any others."""
     try:
-        digest, told = stored[len(_HEAD) :][:_DIGEST], stored[len(_HEAD) + _DIGEST :]
-        if not stored.startswith(_HEAD) or hashlib.sha256(told).digest() != digest:
-            return None
         found: Kept = from_json_data(kind, json.loads(zstandard.decompress(told)))
     except (ValueError, RecursionError, zstandard.ZstdError):
         return None
     return found
 
 
-def packed(found: object) -> bytes:
-    """As `store` writes it."""
-    told = zstandard.compress(json.dumps(to_json_data(found)).encode(), 1)
+def _sealed(told: bytes) -> bytes:
     return _HEAD + hashlib.sha256(told).digest() + told
 
 
-def store(path: Path, found: object, log: Log) -> None:
-    """Raises nothing: a cache that cannot be written costs time, no result. Nor is one on a full disk."""
-    stored = packed(found)
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not has_room(path.parent, log):
-            return
-        whole_file.write(path, stored)
+def _unsealed(stored: bytes) -> bytes | None:
+    told = stored[len(_HEAD) + _DIGEST :]
+    return told if stored == _sealed(told) else None

@@ -5,8 +5,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from tilth.analysis.runs.driven import Driven, DrivingPacker, kept_driving
-from tilth.analysis.runs.kept import Progress, Say, cache_folder, caches, key_of, sha256_of, store
+from tilth.analysis.runs.driven import Driven, DrivingPacker, kept_driving, store_blocks
+from tilth.analysis.runs.kept import Progress, Say, cache_folder, caches, key_of, sha256_of
 from tilth.estimator.fold import State
 from tilth.estimator.record.record import Segment
 from tilth.logger.log.mcap_log import LogWriter, RunPart
@@ -58,7 +58,7 @@ def replayed(
         unfinished.unlink(missing_ok=True)
     if not driven.of_another_rig:
         found = kept_driving(folder, [kept], machine_file.sha256)
-        store(found, driven.packer.blocks(), machine_file.machine.log)
+        store_blocks(found, driven.packer.blocks(), machine_file.machine.log)
     return kept
 
 

@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +27,6 @@ from tilth.adaptive_guidance.study import (
     draw,
     driven,
     middle,
-    packaged,
     rms,
     scenario_of,
 )
@@ -45,8 +43,8 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile, parse_machine
 from tilth.schemas.notices import in_words
 from tilth.simulator.demo import STOP, DemoError, demo_errors, first_fact, on_loopback
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import ORIGIN_DEG, as_json
-from tilth.simulator.simulate import PACKAGED
 
 WORK: Final = Work(rows=6, length=100.0, spacing=54.0, radius=20.0)
 FROM_CHANGE: Final = replace(WORK, rows=5, rows_before=1)  # what is to be seen, without what comes before it
@@ -77,7 +75,7 @@ def run_lockstep(seed: int, folder: Path, say: Callable[[str], None], work: Work
     for gains in ("fixed", "adapting"):
         say(f"driving the field with {gains} gains, faster than real time")
         try:
-            paths[gains] = driven(packaged(), seed, gains, work)
+            paths[gains] = driven(packaged_file().machine, seed, gains, work)
         except RuntimeError as error:
             raise DemoError(str(error)) from None
     folder.mkdir(parents=True, exist_ok=True)
@@ -104,8 +102,8 @@ def run_guidance(
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
     _compiled(stop, say)
     say("driving the field with nominal gains first, faster than real time")
-    fixed = driven(packaged(), seed, "fixed", work)
-    text = resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    fixed = driven(packaged_file().machine, seed, "fixed", work)
+    text = packaged_file().text
     with ExitStack() as ends:
         words = words_of("tilth.simulator.real_time_rig")
         rig, first = _started(ends, stop, "the tractor", words, _order(text, seed, work))
@@ -145,14 +143,14 @@ def _compiled(stop: Callable[[], bool], say: Callable[[str], None]) -> None:
             say(compiling.TEXT)
 
     try:
-        compiling.prepare(packaged(), report_progress)
+        compiling.prepare(packaged_file().machine, report_progress)
     except compiling.CompilingStopped:
         raise DemoError("stopped before it began") from None
 
 
 def _order(text: str, seed: int, work: Work) -> bytes:
     """What the tractor's process is told first."""
-    machine = packaged()
+    machine = packaged_file().machine
     line = plan(work, rig_of(machine))
     scenario = replace(scenario_of(machine, work), other_traffic=False)
     order = {

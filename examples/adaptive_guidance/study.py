@@ -10,7 +10,6 @@ import math
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -25,7 +24,7 @@ from tilth.analysis import plots
 from tilth.estimator.models.parameters import rig_of
 from tilth.schemas.flow import PARAMETERS, Estimate, Status
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import STEP_S, Ground, Scenario, Soil, SoilChange
 
 Array = NDArray[np.float64]
@@ -64,11 +63,6 @@ class DrivenPath(NamedTuple):
     after: NDArray[np.bool_]  # whether the implement is on the soft half
     estimates: TimedEstimates
     rows: Estimate | None = None  # the last of the method rows
-
-
-def packaged() -> Machine:
-    file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
-    return parse_machine(file.read_text(encoding="utf-8"))
 
 
 def scenario_of(machine: Machine, work: Work) -> Scenario:
@@ -174,7 +168,7 @@ def main() -> None:
         "--part", choices=("main", "known", "wrong", "doubt", "patches", "dither"), help="only this table"
     )
     args = parser.parse_args()
-    machine = packaged()
+    machine = packaged_file().machine
     if args.part in TABLES:
         TABLES[args.part](machine)
         return

@@ -8,7 +8,6 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from importlib import resources
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -18,8 +17,9 @@ from tilth.analysis.runs.kept import key_of
 from tilth.analysis.runs.run import Run, open_runs
 from tilth.schemas.flow import PARAMETERS
 from tilth.schemas.machine_toml import parse_machine
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Scenario, parse_scenario
-from tilth.simulator.simulate import PACKAGED, SimulationInput, files_of, simulate_to
+from tilth.simulator.simulate import SimulationInput, files_of, simulate_to
 
 FOLDER: Final = Path(__file__).resolve().parents[2] / "examples" / "scenarios" / "dissertation"
 PLANTS: Final = ("planar", "spatial")
@@ -84,7 +84,7 @@ def truth(field: str) -> dict[str, float]:
 
 def machine_text() -> str:
     """Of the packaged machine file, which has the parameters of Table 7.2 as priors."""
-    return resources.files("tilth.deploy").joinpath(PACKAGED).read_text(encoding="utf-8")
+    return packaged_file().text
 
 
 def made(experiment: Experiment, folder: Path) -> Path:

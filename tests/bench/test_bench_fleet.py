@@ -19,6 +19,7 @@ from tilth.estimator.diagnosis.open_numbers import HYPOTHESES
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.fleet import drawn
 from tilth.simulator.fleet_files import owners_text
+from tilth.simulator.packaged import packaged_file
 
 
 @pytest.mark.parametrize("first", [0, 17, 120])
@@ -152,7 +153,7 @@ def test_the_right_file_of_a_calibrated_rig_of_the_fleet_is_exact() -> None:
     machine, _ = calibration.right_file("fleet", 3)
     assert machine.tractor.a.value == pytest.approx(drawn(3).tractor.a, abs=1e-4)
     assert machine.machine.name == "fleet-3"
-    assert calibration.right_file("planar", 3) == calibration.packaged()
+    assert calibration.right_file("planar", 3) == packaged_file()
 
 
 @pytest.mark.parametrize(

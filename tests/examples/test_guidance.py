@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from importlib import resources
 
 import can
 import numpy as np
@@ -28,8 +27,8 @@ from tilth.schemas.flow import (
     Status,
 )
 from tilth.schemas.machine import Machine
-from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.pgn_table import row
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import ORIGIN_DEG, Ground, Scenario, Soil, SoilChange
 
 WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
@@ -37,8 +36,7 @@ WORK = Work(rows=3, length=40.0, spacing=48.0, radius=18.0)
 
 @pytest.fixture(scope="module")
 def machine() -> Machine:
-    file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
-    return parse_machine(file.read_text(encoding="utf-8"))
+    return packaged_file().machine
 
 
 @pytest.fixture(scope="module")
@@ -140,8 +138,7 @@ def test_off_the_line_to_the_left_it_steers_to_the_right_at_a_limited_rate(line:
 
 
 def estimate(factor: float, status: Status = Status.ESTIMATED) -> Estimate:
-    file = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml")
-    values = rig_of(parse_machine(file.read_text(encoding="utf-8"))).theta * factor
+    values = rig_of(packaged_file().machine).theta * factor
     rows = tuple(ParameterEstimate(float(v), 0.05 * float(v), status, None, 1.0) for v in values)
     return Estimate(1, "recommended", "relaxation", rows, tuple((0.0025 * np.eye(6)).ravel().tolist()), ())
 

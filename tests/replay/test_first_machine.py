@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 from logs import MACHINE
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.logger.machine_file import read_machine
 from tilth.replay.discover import BusSurvey, Findings
@@ -156,4 +156,4 @@ def test_the_usual_shares_are_those_of_the_fleet() -> None:
         assert height / wheelbase == pytest.approx(
             rule.CG_OVER_WHEELBASE.value, abs=rule.CG_OVER_WHEELBASE.sd
         )
-    assert read_machine(ROOT / "deploy/machines/jd7930-parker500.toml").machine == MACHINE
+    assert read_machine(MACHINE_FILE).machine == MACHINE

@@ -5,7 +5,7 @@ import json
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paths import ROOT, shared
+from paths import MACHINE_FILE, shared
 
 from tilth.replay.readers.any_log import frames
 from tilth.schemas import can_id
@@ -19,7 +19,7 @@ from tilth.schemas.rejections import Rejection
 from tilth.schemas.sentences.rejections import REJECTIONS
 from tilth.schemas.signals import SIGNALS
 
-RIG = parse_machine((ROOT / "deploy/machines/jd7930-parker500.toml").read_text())
+RIG = parse_machine(MACHINE_FILE.read_text())
 NAMES = [receiver.name or 0 for receiver in RIG.receiver]
 BOUNDED = settings(derandomize=True, max_examples=80, deadline=None)
 

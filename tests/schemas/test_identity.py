@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
@@ -13,7 +13,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.sentences import notice_sentence
 
-TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
+TEXT = MACHINE_FILE.read_text()
 MS = 1_000_000
 
 LOW, HIGH = 0xA00017000421E240, 0xA00017000421E241  # two StarFires: tractor_front, tractor_rear

@@ -4,7 +4,7 @@ import json
 import math
 
 import pytest
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.schemas import can_id, flow
 from tilth.schemas.decode import Decoder, claim, encode, frames_of
@@ -16,9 +16,7 @@ from tilth.schemas.rejections import Rejection
 from tilth.schemas.signals import SIGNALS
 
 RIG = parse_machine(
-    (ROOT / "deploy/machines/jd7930-parker500.toml")
-    .read_text()
-    .replace(
+    MACHINE_FILE.read_text().replace(
         'name = "A00017000421E240"\n',
         'name = "A00017000421E240"\nposition_sd = 0.03\nvelocity_sd = 0.06\nyaw_rate_sd = 0.4\n'
         "heading_sd = 0.7\nroll_sd = 0.8\n",

@@ -5,7 +5,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.schemas import can_id
 from tilth.schemas.decode import Decoder, encode
@@ -14,7 +14,7 @@ from tilth.schemas.machine import Machine, MachineError
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.wheel_angle import WheelAngleSensor, compile_sensor
 
-TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
+TEXT = MACHINE_FILE.read_text()
 DANFOSS = 0x18FF0B15
 
 ANY_SOURCE = 0x18FE14FE  # a J1939 file writes source 0xFE for "whoever sends it"

@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -43,8 +42,8 @@ from tilth.simulator.demo import (
     result,
     run_demo,
 )
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Scenario
-from tilth.simulator.simulate import PACKAGED
 from tilth.simulator.socketcand_server import SocketcandServer, open_server, play
 from tilth.simulator.tractor import draw
 from tilth.simulator.traffic import simulate
@@ -52,7 +51,7 @@ from tilth.simulator.traffic import simulate
 pytestmark = pytest.mark.long
 
 
-TEXT = resources.files("tilth.deploy").joinpath(PACKAGED).read_text()
+TEXT = packaged_file().text
 # Without asammdf, which reads files that are not needed here and takes two seconds to import.
 START = "import sys; sys.modules['asammdf'] = None; from tilth.cli import main; sys.exit(main())"
 COMMAND = [sys.executable, "-c", START, "demo", "--no-page"]

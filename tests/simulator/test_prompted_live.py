@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from tilth.cli import WrongUse
 from tilth.client.experiment.prompter import RUNNING
 from tilth.client.experiment.runner import RESTARTED
 from tilth.schemas.proto import tilth_pb2 as pb
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.prompted_driver import Person
 from tilth.simulator.scenario import Ground, Scenario, Soil
 
@@ -52,7 +52,7 @@ def _live(folder: Path, **options: Any) -> Live:
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns at each half-read frame
     plan = folder / "plan.toml"
     plan.write_text(PLAN)
-    text = resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text("utf-8")
+    text = packaged_file().text
     # A NAME is said once, when a receiver is switched on: a daemon that begins later must know the addresses.
     for source, name in enumerate(re.findall(r'name = "[0-9A-F]{16}"', text), 60):
         text = text.replace(name, f"source = {source}")

@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib import resources
 from typing import Any
 
 import can
@@ -15,6 +14,7 @@ from loopback import PATIENCE_S
 
 from tilth.schemas.decode import encode, frames_of
 from tilth.schemas.flow import Word
+from tilth.simulator.packaged import packaged_file
 from tilth.simulator.scenario import Scenario, as_json, from_json
 from tilth.simulator.steering import COMMAND, REFUSALS
 
@@ -22,10 +22,6 @@ pytestmark = pytest.mark.long
 
 
 QUIET = Scenario(speed=3.0, other_traffic=False, speed_sd=0.0)
-
-
-def packaged() -> str:
-    return resources.files("tilth.deploy").joinpath("machines/jd7930-parker500.toml").read_text("utf-8")
 
 
 def test_a_scenario_goes_to_another_process_and_comes_back() -> None:
@@ -46,7 +42,7 @@ def rig() -> Iterator[subprocess.Popen[bytes]]:
 
 def order(rig: subprocess.Popen[bytes], seconds: float) -> int:
     fact = {
-        "machine_text": packaged(),
+        "machine_text": packaged_file().text,
         "seed": 1,
         "seconds": seconds,
         "scenario": as_json(QUIET),

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.logger.clock import Clock
 from tilth.logger.log.run_log import Recording
@@ -24,7 +24,7 @@ from tilth.schemas.machine_toml import MachineFile, parse_machine
 SPACING_NS = 500_000
 BEHIND_NS = 50_000_000  # time that a busy computer did not give to the loop makes no frames
 SHARED = struct.Struct("<Q")  # frames handed over
-TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
+TEXT = MACHINE_FILE.read_text()
 
 
 def record(folder: Path, shared: mmap.mmap, frames: int, far: int) -> None:

@@ -20,14 +20,14 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
-from paths import ROOT
+from paths import MACHINE_FILE
 
 from tilth.schemas.flow import Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.schemas.proto import tilth_pb2 as pb
 
-TEXT = (ROOT / "deploy/machines/jd7930-parker500.toml").read_text()
+TEXT = MACHINE_FILE.read_text()
 GROUP = "239.74.163.2"
 START_NS = 1_790_000_000_000_000_000
 PATIENCE_S = 120.0  # that a test which hangs ends; a busy computer takes its time, a quiet one does not wait

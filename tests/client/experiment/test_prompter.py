@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 from prompted_run import Prompted, placed
 
 from tilth.client.experiment.following import wanted_at
@@ -391,7 +391,7 @@ def test_a_field_begins_in_the_way_that_is_driven_though_a_run_was_armed_in_a_tu
 
 
 def prompted(seed: int, **changes: object) -> Prompted:
-    machine = parse_machine((ROOT / "deploy/machines/jd7930-parker500.toml").read_text(encoding="utf-8"))
+    machine = parse_machine(MACHINE_FILE.read_text(encoding="utf-8"))
     plan = PLAN.model_copy(update={"field": Rectangle(length=900, width=120)})  # seldom to turn round
     course = course_of(plan, TABLE_5_1)
     one = Prompted(course, TABLE_5_1, Person(looks_away=0.02), seed, **changes)  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from hypothesis import given
 from hypothesis import strategies as st
 from loopback import PATIENCE_S, START_NS, rig, session, udp_bus, until
-from paths import ROOT
+from paths import MACHINE_FILE, ROOT
 from posed import pose_of
 from rust_build import in_rust
 from zenoh.ext import Int64, z_deserialize
@@ -50,7 +50,7 @@ HASHES = {
 }
 OWN = "jd7930_parker500"
 UTC_NS = START_NS + 5_000_000_000
-DEMO = parse_machine((ROOT / "deploy/machines/jd7930-parker500.toml").read_text())
+DEMO = parse_machine(MACHINE_FILE.read_text())
 
 
 @pytest.fixture
