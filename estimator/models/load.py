@@ -65,7 +65,20 @@ def laden(machine: Machine, now: Carried | None) -> Machine:
         name: _tyre(getattr(machine.tyres, name), factor, exponent)
         for name, factor in zip(Tyres.model_fields, heavier.tolist(), strict=True)
     }
-    return full.model_copy(update={"tyres": machine.tyres.model_copy(update=axles)})
+    implement = full.implement.model_copy(update={"yaw_inertia": _inertia_over_mass(machine, now)})
+    tyres = machine.tyres.model_copy(update=axles)
+    return full.model_copy(update={"tyres": tyres, "implement": implement})
+
+
+def _inertia_over_mass(machine: Machine, now: Carried) -> Quantity:
+    """Yaw inertia with what is carried, kg m^2, as uncertain as it is over the mass: a load brings both at
+    once, and the estimators take masses as known (unknowns.MASSES)."""
+    exact, heavier = (
+        carrying(machine, Quantity(value=mass)).implement for mass in (now.mass, now.mass + now.sd)
+    )
+    inertia, mass = exact.yaw_inertia, exact.mass.value
+    ratio = heavier.yaw_inertia.value / inertia.value * mass / heavier.mass.value
+    return Quantity(value=inertia.value, sd=math.hypot(inertia.sd, (ratio - 1.0) * inertia.value))
 
 
 def _tyre(tyre: Tyre, heavier: float, exponent: float) -> Tyre:

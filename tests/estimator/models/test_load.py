@@ -1,6 +1,7 @@
 """What a load does to a rig, how a word of it ages, and what a scale may say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from logs import MACHINE
 
 from tilth.estimator.models.load import aged, laden, of_nobody, of_scale
 from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.schemas.ballast import carrying
+from tilth.schemas.quantity import Quantity
 
 
 def test_the_laden_rig_is_heavier_and_its_tyres_follow() -> None:
@@ -21,6 +24,25 @@ def test_the_laden_rig_is_heavier_and_its_tyres_follow() -> None:
         before, after = (getattr(m.tyres, axle).cornering_stiffness for m in (CART, full))
         assert after == pytest.approx(before * factor**0.8)
     assert laden(MACHINE, FULL) is MACHINE  # its file knows of no load
+
+
+@pytest.mark.parametrize("length", [2.0, 5.3, 9.0])
+def test_inertia_and_mass_of_a_load_come_together(length: float) -> None:
+    """The inertia is as uncertain as it is over the mass, which the estimators take as known: by draws."""
+    load, inertia = CART.implement.load, CART.implement.yaw_inertia
+    assert load is not None
+    load = load.model_copy(update={"length": length, "ahead_of_axle": Quantity(value=0.1)})
+    exact = {"load": load, "yaw_inertia": Quantity(value=inertia.value)}
+    cart = CART.model_copy(update={"implement": CART.implement.model_copy(update=exact)})
+    told = laden(cart, replace(FULL, mass=3000.0, sd=300.0)).implement
+    drawn = [
+        carrying(cart, Quantity(value=mass)).implement
+        for mass in np.random.default_rng(1).normal(3000.0, 300.0, 300)
+    ]
+    over_mass = [one.yaw_inertia.value / one.mass.value for one in drawn]
+    share = told.yaw_inertia.sd / told.yaw_inertia.value
+    assert share == pytest.approx(np.std(over_mass) / np.mean(over_mass), rel=0.15, abs=1e-3)
+    assert told.mass.sd > 300.0
 
 
 def test_a_word_ages_until_all_is_possible() -> None:
