@@ -17,7 +17,7 @@ from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.models.upright import UPRIGHT
 from tilth.estimator.tuning import tuned
 from tilth.schemas import carried
-from tilth.schemas.ballast import carrying
+from tilth.schemas.ballast import carrying, inertia_sd_over_mass
 from tilth.schemas.flow import Carried
 from tilth.schemas.machine import Machine, Quantity, Tyre, Tyres
 
@@ -56,29 +56,21 @@ LOAD: Final = LoadTuning()
 def laden(machine: Machine, now: Carried | None) -> Machine:
     """The rig with what its implement carries. machine: with the empty one; itself where it carries
     nothing."""
-    if now is None or machine.implement.load is None:
+    load = machine.implement.load
+    if now is None or load is None:
         return machine
-    full = carrying(machine, Quantity(value=now.mass, sd=now.sd))
-    heavier = np.exp(heavier_by(machine, full))
-    exponent = machine.implement.load.exponent.value
+    mass = Quantity(value=now.mass, sd=now.sd)
+    full = carrying(machine, mass)
+    heavier, exponent = np.exp(heavier_by(machine, full)), load.exponent.value
     axles = {
         name: _tyre(getattr(machine.tyres, name), factor, exponent)
         for name, factor in zip(Tyres.model_fields, heavier.tolist(), strict=True)
     }
-    implement = full.implement.model_copy(update={"yaw_inertia": _inertia_over_mass(machine, now)})
+    sd = inertia_sd_over_mass(full.implement, [load.model_copy(update={"mass": mass})])
+    inertia = full.implement.yaw_inertia.model_copy(update={"sd": sd})
+    implement = full.implement.model_copy(update={"yaw_inertia": inertia})
     tyres = machine.tyres.model_copy(update=axles)
     return full.model_copy(update={"tyres": tyres, "implement": implement})
-
-
-def _inertia_over_mass(machine: Machine, now: Carried) -> Quantity:
-    """Yaw inertia with what is carried, kg m^2, as uncertain as it is over the mass: a load brings both at
-    once, and the estimators take masses as known (unknowns.MASSES)."""
-    exact, heavier = (
-        carrying(machine, Quantity(value=mass)).implement for mass in (now.mass, now.mass + now.sd)
-    )
-    inertia, mass = exact.yaw_inertia, exact.mass.value
-    ratio = heavier.yaw_inertia.value / inertia.value * mass / heavier.mass.value
-    return Quantity(value=inertia.value, sd=math.hypot(inertia.sd, (ratio - 1.0) * inertia.value))
 
 
 def _tyre(tyre: Tyre, heavier: float, exponent: float) -> Tyre:
