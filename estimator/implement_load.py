@@ -34,7 +34,7 @@ def use(state: State, carried: Carried) -> None:
         method_state = state.estimators[row.method]
         if isinstance(method_state, (SixState, PlaceState)):
             carrying.take_load(method_state, before, state.machine)
-            row.clock_stepped(method_state, 0)  # what is not fitted yet is of the load before
+            row.rig_changed(method_state)  # a fit would take what is collected for driving with the new load
         else:
             state.estimators[row.method] = row.initial(state.machine)
 

@@ -110,6 +110,21 @@ def _with(body: Body, ballast: Sequence[Ballast], sign: float) -> Body:
     )
 
 
+def inertia_sd_over_mass(section: Tractor | Implement, ballast: Sequence[Ballast]) -> float:
+    """Sd of the yaw inertia, kg m^2, of a body whose mass is taken as known. A mass that is known badly
+    brings inertia with it, so the inertia over the mass of all is known better than either.
+
+    section: with `ballast` counted in, some of its masses or all.
+    """
+    body = _body(section)
+    over_mass = body.yaw_inertia.value / body.mass.value
+    variance = body.yaw_inertia.sd**2
+    for each in ballast:
+        brought = (each.ahead_of_axle.value - body.ahead) ** 2 + _own(each)
+        variance += ((brought - over_mass) ** 2 - brought**2) * each.mass.sd**2
+    return math.sqrt(max(variance, 0.0))
+
+
 def _own(ballast: Ballast) -> float:
     """Square of its radius of gyration about its own vertical axis, m^2, as of a block."""
     return (ballast.length**2 + ballast.width**2) / 12

@@ -15,6 +15,7 @@ from tilth.estimator.models import upright
 from tilth.estimator.models.parameters import GEOMETRY, TABLE_5_1, upright_axles
 from tilth.estimator.pose import latency
 from tilth.estimator.tuning import tuned
+from tilth.schemas.ballast import inertia_sd_over_mass
 from tilth.schemas.flow import Mount
 from tilth.schemas.machine import Implement, Machine, Quantity, Tractor
 
@@ -81,12 +82,16 @@ def roll_compensation(machine: Machine) -> Prior:
 
 
 def surveyed(k: int) -> Callable[[Machine], Prior]:
-    """Of the k-th of GEOMETRY: a share of its value, but of e, which may be zero, its sd."""
+    """Of the k-th of GEOMETRY: a share of its value, but of e, which may be zero, its sd. Of an inertia, as
+    masses are taken as known (unknowns.MASSES): what ballast brings goes with them."""
 
     def found(machine: Machine) -> Prior:
         t, i = machine.tractor, machine.implement
         quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
-        return 0.0, quantity.sd if GEOMETRY[k] == "e" else quantity.sd / abs(quantity.value)
+        sd = quantity.sd
+        if (body := {"I_t": t, "I_i": i}.get(GEOMETRY[k])) is not None:
+            sd = inertia_sd_over_mass(body, body.ballast)
+        return 0.0, sd if GEOMETRY[k] == "e" else sd / abs(quantity.value)
 
     return found
 

@@ -69,6 +69,11 @@ class Estimator:
     """(state, job, result): take what a fit of another row has told, before that row adopts it. Returns
     whether a change of soil that it found was foreseen."""
 
+    def rig_changed(self, state: Any) -> None:
+        """What is collected is of another rig, as the machine was before: discard it and the pending fit, and
+        keep what was learned."""
+        self.clock_stepped(state, 0)
+
 
 ESTIMATORS: tuple[Estimator, ...] = (
     Estimator(

@@ -17,7 +17,7 @@ from tilth.estimator.models.parameters import rig_of, static_loads
 from tilth.estimator.models.upright import UPRIGHT
 from tilth.estimator.tuning import tuned
 from tilth.schemas import carried
-from tilth.schemas.ballast import carrying
+from tilth.schemas.ballast import carrying, inertia_sd_over_mass
 from tilth.schemas.flow import Carried
 from tilth.schemas.machine import Machine, Quantity, Tyre, Tyres
 
@@ -56,16 +56,21 @@ LOAD: Final = LoadTuning()
 def laden(machine: Machine, now: Carried | None) -> Machine:
     """The rig with what its implement carries. machine: with the empty one; itself where it carries
     nothing."""
-    if now is None or machine.implement.load is None:
+    load = machine.implement.load
+    if now is None or load is None:
         return machine
-    full = carrying(machine, Quantity(value=now.mass, sd=now.sd))
-    heavier = np.exp(heavier_by(machine, full))
-    exponent = machine.implement.load.exponent.value
+    mass = Quantity(value=now.mass, sd=now.sd)
+    full = carrying(machine, mass)
+    heavier, exponent = np.exp(heavier_by(machine, full)), load.exponent.value
     axles = {
         name: _tyre(getattr(machine.tyres, name), factor, exponent)
         for name, factor in zip(Tyres.model_fields, heavier.tolist(), strict=True)
     }
-    return full.model_copy(update={"tyres": machine.tyres.model_copy(update=axles)})
+    sd = inertia_sd_over_mass(full.implement, [load.model_copy(update={"mass": mass})])
+    inertia = full.implement.yaw_inertia.model_copy(update={"sd": sd})
+    implement = full.implement.model_copy(update={"yaw_inertia": inertia})
+    tyres = machine.tyres.model_copy(update=axles)
+    return full.model_copy(update={"tyres": tyres, "implement": implement})
 
 
 def _tyre(tyre: Tyre, heavier: float, exponent: float) -> Tyre:

@@ -211,14 +211,8 @@ def test_a_stop_may_have_changed_the_load(seconds: int, word: LoadSource | None,
     assert restore(CART, snapshot(state)).drove_ns == (11 + seconds) * S
 
 
-@pytest.mark.parametrize("pending", [False, True])
-@pytest.mark.parametrize("seconds", [8, 60])
-@pytest.mark.parametrize("row", rows_for(CART), ids=lambda row: row.method)
-def test_nothing_is_collected_across_a_stop(row: Estimator, seconds: int, pending: bool) -> None:
-    """Whether or not a fit is pending, which stays so. What was learned of all but the implement stays."""
-    state = fold.initial(CART)
-    driven(state, 1, 10, 4.0)
-    method_state = state.estimators[row.method]
+def collects(method_state: Any, pending: bool) -> None:
+    """Puts in that a method has collected something. pending: and waits for a fit."""
     if isinstance(method_state, PemState):
         method_state.window = [turned(10 * S + k * S // 5) for k in range(WINDOWS.shortest)]
         method_state.job = pem.Job(S, S, turned(0).record, method_state.mean, NOTHING) if pending else None
@@ -230,6 +224,30 @@ def test_nothing_is_collected_across_a_stop(row: Estimator, seconds: int, pendin
         method_state.pending, method_state.running = turned(10 * S).record, True
     elif isinstance(method_state, SteadyState):
         method_state.steadiness.unaveraged = 3
+
+
+@pytest.mark.parametrize("row", rows_for(CART), ids=lambda row: row.method)
+def test_what_is_collected_is_of_the_load_before(row: Estimator) -> None:
+    """A fit would be made with the load that somebody has said now."""
+    state = fold.initial(CART)
+    method_state = state.estimators[row.method]
+    nothing = to_json_data(method_state)
+    collects(method_state, pending=True)
+    implement_load.use(state, replace(FULL, t_ns=20 * S))
+    assert not fold.pending(state)
+    for name in {"window", "job", "block", "pending", "running", "steadiness"} & nothing.keys():
+        assert to_json_data(state.estimators[row.method])[name] == nothing[name], name
+
+
+@pytest.mark.parametrize("pending", [False, True])
+@pytest.mark.parametrize("seconds", [8, 60])
+@pytest.mark.parametrize("row", rows_for(CART), ids=lambda row: row.method)
+def test_nothing_is_collected_across_a_stop(row: Estimator, seconds: int, pending: bool) -> None:
+    """Whether or not a fit is pending, which stays so. What was learned of all but the implement stays."""
+    state = fold.initial(CART)
+    driven(state, 1, 10, 4.0)
+    method_state = state.estimators[row.method]
+    collects(method_state, pending)
     before = to_json_data(method_state)
     driven(state, 11, seconds, 0.0)
     driven(state, 11 + seconds, 1, 4.0)

@@ -1,14 +1,18 @@
 """What a load does to a rig, how a word of it ages, and what a scale may say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from cart import CART, FULL
 from logs import MACHINE
 
+from tilth.estimator.filters.unknowns import AT, prior
 from tilth.estimator.models.load import aged, laden, of_nobody, of_scale
 from tilth.estimator.models.parameters import rig_of, static_loads
+from tilth.schemas.ballast import as_driven, carrying
+from tilth.schemas.quantity import Quantity
 
 
 def test_the_laden_rig_is_heavier_and_its_tyres_follow() -> None:
@@ -21,6 +25,31 @@ def test_the_laden_rig_is_heavier_and_its_tyres_follow() -> None:
         before, after = (getattr(m.tyres, axle).cornering_stiffness for m in (CART, full))
         assert after == pytest.approx(before * factor**0.8)
     assert laden(MACHINE, FULL) is MACHINE  # its file knows of no load
+
+
+@pytest.mark.parametrize("as_ballast", [False, True])
+@pytest.mark.parametrize("length", [2.0, 5.3, 9.0])
+def test_inertia_and_mass_come_together(length: float, as_ballast: bool) -> None:
+    """A load, or a tank, that is known badly: the inertia is as uncertain as it is over the mass, which the
+    estimators take as known. By draws."""
+    load, inertia = CART.implement.load, CART.implement.yaw_inertia
+    assert load is not None
+    mass, at = Quantity(value=3000.0, sd=300.0), {"length": length, "ahead_of_axle": Quantity(value=0.1)}
+    exact = {"load": load.model_copy(update=at), "yaw_inertia": Quantity(value=inertia.value)}
+    cart = CART.model_copy(update={"implement": CART.implement.model_copy(update=exact)})
+    told = laden(cart, replace(FULL, mass=mass.value, sd=mass.sd))
+    if as_ballast:
+        tank = load.model_copy(update={**at, "mass": mass})
+        bare = cart.implement.model_copy(update={"load": None, "ballast": [tank]})
+        told = as_driven(cart.model_copy(update={"implement": bare}))
+    over_mass = [
+        one.yaw_inertia.value / one.mass.value
+        for kg in np.random.default_rng(1).normal(mass.value, mass.sd, 300)
+        for one in [carrying(cart, Quantity(value=kg)).implement]
+    ]
+    share = prior(told)[1][AT["I_i"]]
+    assert share == pytest.approx(np.std(over_mass) / np.mean(over_mass), rel=0.15, abs=1e-3)
+    assert told.implement.mass.sd > 300.0
 
 
 def test_a_word_ages_until_all_is_possible() -> None:
