@@ -199,7 +199,8 @@ def _machine(args: argparse.Namespace, scenario: Scenario) -> tuple[Machine, str
     if named is not None:
         machine, text = read_machine(named)
         return machine, text, None
-    return *packaged_file(), None
+    machine, text = packaged_file()
+    return machine, text, None
 
 
 def _check_out(log: Path) -> None:

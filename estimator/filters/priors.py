@@ -89,7 +89,8 @@ def surveyed(k: int) -> Callable[[Machine], Prior]:
         t, i = machine.tractor, machine.implement
         quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
         sd = quantity.sd
-        if (body := {"I_t": t, "I_i": i}.get(GEOMETRY[k])) is not None:
+        if GEOMETRY[k] in ("I_t", "I_i"):
+            body = t if GEOMETRY[k] == "I_t" else i
             sd = inertia_sd_over_mass(body, body.ballast)
         return 0.0, sd if GEOMETRY[k] == "e" else sd / abs(quantity.value)
 
