@@ -7,15 +7,16 @@ over which length, is learned: each pair of values is a hypothesis, weighed by t
 the windows told, and by how often fields are so. With few windows many are likely, and the answer is wide.
 
 A window tells of the mean over its path, of each axle's stiffness along the way of that axle. Errors of the
-model are common to all windows of a method: a random effect, so they do not average out. Each window has some
-of its own besides, as no two turns are alike. Worked ground is an effect of its own, and the level of the
-stiffnesses drifts with time (Ornstein and Uhlenbeck's process).
+model are common to all windows of a method: a random effect, so they do not average out. Each fit has some of
+its own besides, as no two turns are alike; how large they are, on this rig, are hypotheses too. Worked ground
+is an effect of its own, and the level of the stiffnesses drifts with time (Ornstein and Uhlenbeck's process).
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Annotated, Final, NamedTuple
 
 import numpy as np
@@ -31,6 +32,7 @@ from tilth.schemas.flow import PARAMETERS
 Array = NDArray[np.float64]
 
 AXLES: Final = len(PARAMETERS) // 2
+ROWS: Final = "rows"  # the method whose windows are pieces of one fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +53,13 @@ class SoilFieldTuning:
     """3° fore and aft shift 5 % of the front axle's load. What passes to and fro differ by is not soil."""
     worked: float = tuned(0.2, "1", "sd of a stiffness' logarithm between worked ground and other ground")
     changed: float = tuned(0.4, "1", "sd of a stiffness' logarithm between before and after a change in time")
-    own_error: float = tuned(0.4, "1", "sd of errors of the model in one window alone, over those in common")
+    own_errors: tuple[float, ...] = tuned(
+        (0.0, 0.4), "1", "sd of errors of the model in one fit alone, over those in common; each as probable"
+    )
     """Sixteen turns on one soil scattered by 0.14, where noise is 0.03 and errors of the model are 0.19. Were
     all in common, another soil every 10 m would explain it. In 24 days of that rig 0.5 is likeliest, in days
-    of 18 rigs 0.3, by 92 and 14 nats."""
+    of 18 rigs 0.3, by 92 and 14 nats. Rigs differ: of four in patchy fields three have rather 0.4, by 1 to 3
+    nats, and one 0, by 10."""
     ages_s: float = tuned(
         400_000.0, "s", "in which the level becomes another, as by such a change: 5 % in an hour, 17 % in ten"
     )
@@ -305,10 +310,15 @@ class SoilMemory:
     """What some windows tell of a field. Derived from them alone."""
 
     def __init__(
-        self, windows: Sequence[SoilWindow], prior_sd: Array, variograms: Sequence[Variogram] = VARIOGRAMS
+        self,
+        windows: Sequence[SoilWindow],
+        prior_sd: Array,
+        variograms: Sequence[Variogram] = VARIOGRAMS,
+        own_errors: Sequence[float] = SOIL_FIELD.own_errors,
     ) -> None:
-        """prior_sd: (n,), of the machine file. variograms: hypotheses."""
-        self.windows, self.prior_sd, self.variograms = windows, prior_sd[SIX], variograms
+        """prior_sd: (n,), of the machine file. variograms, own_errors: hypotheses, each with each."""
+        self.windows, self.prior_sd = windows, prior_sd[SIX]
+        self.variograms, self.own_errors = variograms, own_errors
         paths = np.array([window.path for window in windows]).reshape(-1, SOIL_FIELD.points, AXLES, 2)
         self._places = paths.transpose(0, 2, 1, 3)  # (windows, 3, points, 2)
         self._last_place: tuple[Array, tuple[_Kinds, Array]] | None = None  # and its `_of_place`
@@ -357,7 +367,9 @@ class SoilMemory:
         # What the surer of two windows has of errors, both have: a difference of them is not free of it.
         in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
         fixed += in_common.sum(axis=2) * (methods[:, None] == methods[None, :])
-        fixed += SOIL_FIELD.own_error**2 * in_common.sum(axis=2) * (of[:, None] == of)
+        # Pieces of rows come from one fit, whose error is one.
+        of_fit = np.where(methods == ROWS, -1, of)
+        own = in_common.sum(axis=2) * (of_fit[:, None] == of_fit)
         apart = _apart(self._places, self._places)
         within = {
             key: self._placed @ one.correlation(apart, one.length_m) @ self._placed.T
@@ -367,14 +379,15 @@ class SoilMemory:
         along = sum(window.told.patches for window in self.windows)
         along = min(max(along, -SOIL_FIELD.along), SOIL_FIELD.along)
         found, logs = [], []
-        for one in self.variograms:
+        for one, share in product(self.variograms, self.own_errors):
             # In LAPACK's order: each solution would copy it otherwise.
-            root = np.asfortranarray(np.linalg.cholesky(fixed + one.sd**2 * within[one.kind]))
+            covariance = fixed + one.sd**2 * within[one.kind] + share**2 * own
+            root = np.asfortranarray(np.linalg.cholesky(covariance))
             alpha = np.asarray(cho_solve((root, True), values, check_finite=False))
             distance = float(values @ alpha)
             likely = -0.5 * distance - float(np.sum(np.log(np.diag(root))))
             likely += 0.0 if one.alike else along
-            logs.append(math.log(one.beforehand) + likely)
+            logs.append(math.log(one.beforehand / len(self.own_errors)) + likely)
             found.append(_Hypothesis(one, 0.0, logs[-1], root, alpha, distance))
         weights = np.exp(np.array(logs) - max(logs))
         weights[weights <= SOIL_FIELD.likely] = 0.0

@@ -84,7 +84,7 @@ def for_patches(pieces: Pieces, wider: Array, prior_sd: Array) -> float:
     if np.linalg.norm(middles[:, None] - middles, axis=-1).max() < SOIL_WITHIN.extent_m:
         return 0.0
     by_noise = [
-        SoilMemory(_windows(pieces, factor * wider), prior_sd, _SMOOTH).for_patches
+        SoilMemory(_windows(pieces, factor * wider), prior_sd, _SMOOTH, (0.0,)).for_patches
         for factor in SOIL_WITHIN.noise
     ]
     patches, alike = np.logaddexp.reduce(by_noise, axis=0).tolist()

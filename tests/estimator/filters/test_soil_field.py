@@ -16,6 +16,7 @@ from tilth.estimator.filters.soil_field import (
     SoilMemory,
     SoilWindow,
     Told,
+    Variogram,
     merged,
     told,
 )
@@ -24,6 +25,7 @@ from tilth.estimator.filters.unknowns import AT, NAMES, NOISE
 Array = NDArray[np.float64]
 
 PRIOR_SD = np.full(6, 0.7)
+ONE_SOIL = [Variogram(min(SOIL_FIELD.sds), 100.0)]
 BEHIND = np.array([[1.7, 0.0], [-1.2, 0.0], [-5.8, 0.0]])  # axles of a rig that heads north at the origin
 
 
@@ -46,6 +48,32 @@ def sds(windows: list[SoilWindow], place: Array) -> Array:
 
 LOGS = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
 PLACES = st.lists(st.tuples(st.floats(-200, 200), st.floats(-60, 60)), min_size=1, max_size=5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("own", [0.0, 0.4])
+def test_how_far_errors_of_single_turns_go_is_learned(own: float, seed: int) -> None:
+    """Sixteen turns at one place, with errors in common and errors of their own."""
+    rng, model_sd = np.random.default_rng(seed), 0.2
+    alike = rng.normal(0.0, model_sd, 6)
+    logs = alike + rng.normal(0.0, math.hypot(0.03, own * model_sd), (16, 6))
+    windows = [window(each, 0.0, sd=0.03, k=k, model_sd=model_sd) for k, each in enumerate(logs)]
+    likely = {
+        share: SoilMemory(windows, PRIOR_SD, own_errors=(share,)).for_patches[1]
+        for share in SOIL_FIELD.own_errors
+    }
+    assert max(likely, key=lambda share: likely[share]) == own
+    both, one = (SoilMemory(windows, PRIOR_SD, own_errors=each) for each in ((0.0, 0.4), (own,)))
+    assert both.at(rig_at(0.0, 0.0)).mean == pytest.approx(one.at(rig_at(0.0, 0.0)).mean, abs=0.02)
+
+
+def test_the_error_of_a_fit_of_rows_does_not_average_out_over_its_pieces() -> None:
+    pieces = [replace(window(np.zeros(6), 40.0 * k, k=k, model_sd=0.1), method="rows") for k in range(12)]
+    few, many = (
+        np.sqrt(np.diag(SoilMemory(some, PRIOR_SD, ONE_SOIL, (0.4,)).at(rig_at(240.0, 0.0)).covariance))
+        for some in (pieces[:1], pieces)
+    )
+    assert np.all(many < few) and np.all(many[3:] > 0.1 * math.hypot(1.0, 0.4) * 0.98)
 
 
 @settings(max_examples=20, deadline=None)
