@@ -90,6 +90,8 @@ def told(
     prior: tuple[Array, Array],
     wider: Array,
     model_sd: Array,
+    *,
+    of_file: bool = False,
 ) -> Told:
     """What a window adds, whose likelihood has this information, (n, n), and with what was known before it,
     (n,) and (n, n), its largest value at `after`, (n,).
@@ -98,7 +100,9 @@ def told(
     not count. Noise levels are the window's own. All else is of the rig, and the same in all windows: the six
     are told as if it were known, and its uncertainty joins the errors of the model.
     prior: mean and sds of the machine file, (n,). wider: factors on the sds of the six by noise, (6,).
-    model_sd: (6,).
+    model_sd: (6,). of_file: the rig is as its machine file has it, whatever was known of it. What is wrong
+    with the model is alike in all windows and has moved what looks like it further with each; then softer
+    soil looks like the same soil.
     """
     active = np.flatnonzero(np.diag(covariance) > 0.0)
     known, start = covariance[np.ix_(active, active)], (before - prior[0])[active]
@@ -108,6 +112,9 @@ def told(
     others = np.zeros_like(known)
     rest = np.ix_(~six, ~six)
     others[rest] = np.linalg.inv(known[rest])
+    if of_file:
+        others[of_rig, :] = others[:, of_rig] = start[of_rig] = 0.0
+        others[of_rig, of_rig] = prior[1][active[of_rig]] ** -2.0
     precision, vector = _without(precision + others, vector + others @ start, ~six & ~of_rig)
     six = six[six | of_rig]
     weak = np.diag(np.where(six, prior[1][active[: len(six)]] ** -2.0, 0.0))

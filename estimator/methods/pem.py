@@ -250,7 +250,9 @@ def _told(
     published = np.diag(found.covariance - of_masses(covariance))[six] - errors[six] ** 2
     wider = np.ones(6)
     wider[six] = np.sqrt(np.maximum(published / by_noise, 1.0))
-    whole = told(mean, known, found.likeliest, found.information, prior, wider, np.hypot(errors, excess))
+    whole = told(
+        mean, known, found.likeliest, found.information, prior, wider, np.hypot(errors, excess), of_file=True
+    )
     if found.pieces is None:
         return whole
     return replace(whole, patches=for_patches(found.pieces, wider, prior[1]))

@@ -146,21 +146,24 @@ def test_two_as_one_tell_what_both_told() -> None:
     assert np.linalg.solve(both.told.information, both.told.vector) == pytest.approx(np.full(6, 0.2))
 
 
+@pytest.mark.parametrize("of_file", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_window_adds_does_not_depend_on_what_was_known_of_the_six(seed: int) -> None:
-    """Linear: its likelihood is a parabola, and other unknowns are known as they were."""
+def test_what_a_window_adds_does_not_depend_on_what_was_known_of_the_six(seed: int, of_file: bool) -> None:
+    """Linear: its likelihood is a parabola, other unknowns are known as they were, or as the file has it."""
     rng, n = np.random.default_rng(seed), 9
     root = rng.standard_normal((n, n))
     information, best, prior_mean = root @ root.T, rng.standard_normal(n), rng.standard_normal(n)
     others, prior = np.cov(rng.standard_normal((3, 40))), (prior_mean, np.ones(n))
     found = []
     for sd in (0.1, 3.0):
-        before = np.concatenate([rng.standard_normal(6), prior_mean[6:]])
+        moved = 5.0 * rng.standard_normal(3) if of_file else 0.0
+        before = np.concatenate([rng.standard_normal(6), prior_mean[6:] + moved])
         covariance = np.zeros((n, n))
-        covariance[:6, :6], covariance[6:, 6:] = sd**2 * np.eye(6), others
+        covariance[:6, :6], covariance[6:, 6:] = sd**2 * np.eye(6), others * (sd if of_file else 1.0)
         known = np.linalg.inv(covariance)
         after = np.asarray(np.linalg.solve(information + known, information @ best + known @ before), float)
-        found.append(told(before, covariance, after, information, prior, np.ones(6), np.zeros(6)))
+        made = told(before, covariance, after, information, prior, np.ones(6), np.zeros(6), of_file=of_file)
+        found.append(made)
     assert found[0].information == pytest.approx(found[1].information, abs=1e-6)
     assert found[0].vector == pytest.approx(found[1].vector, abs=1e-6)
     assert found[0].model_sd == pytest.approx(found[1].model_sd) and np.all(found[0].model_sd > 0.0)
