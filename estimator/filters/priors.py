@@ -88,9 +88,9 @@ def surveyed(k: int) -> Callable[[Machine], Prior]:
     def found(machine: Machine) -> Prior:
         t, i = machine.tractor, machine.implement
         quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
-        sd = quantity.sd
-        if GEOMETRY[k] in ("I_t", "I_i"):
-            body = t if GEOMETRY[k] == "I_t" else i
+        bodies: dict[str, Tractor | Implement] = {"I_t": t, "I_i": i}
+        body, sd = bodies.get(GEOMETRY[k]), quantity.sd
+        if body is not None:
             sd = inertia_sd_over_mass(body, body.ballast)
         return 0.0, sd if GEOMETRY[k] == "e" else sd / abs(quantity.value)
 
