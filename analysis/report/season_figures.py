@@ -96,7 +96,7 @@ def field_map(data: Mapping[str, Any]) -> Figure:
         figure.colorbar(drawn, ax=sd, shrink=0.9, label="sd of its logarithm, %")
         for panel in (value, sd):
             for way in data["ways"]:
-                panel.plot(*np.array(way).T, color=QUIET, linewidth=0.4)
+                panel.plot(*np.array(way).T, color=INK, linewidth=0.4)
             panel.plot(*np.array(data["outline"]).T, color=INK, linewidth=0.8)
             panel.set(xticks=[], yticks=[], xlim=(west, east), ylim=(south, north))
             panel.spines[:].set_visible(False)

@@ -69,11 +69,11 @@ def test_the_panels_of_a_field_zoom_together_and_its_scale_with_them(
     near = shown(first)
     assert [one[2] / was[2] for one, was in zip(near, whole, strict=True)] == pytest.approx([0.5] * 6)
     assert scale_m(first) == length_m / 2.0 and shown(other) == whole
-    box = first.locator("svg").first.bounding_box()
+    box = first.locator("svg.frame").first.bounding_box()
     assert box is not None
-    page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.2 * box["height"])
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     page.mouse.down()
-    page.mouse.move(box["x"] + 0.22 * box["width"], box["y"] + 0.22 * box["height"])
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
     page.mouse.up()
     moved = [(one[0] - was[0], one[1] - was[1]) for one, was in zip(shown(first), near, strict=True)]
     assert moved[0][0] < -1.0 and moved[0][1] < -1.0 and np.ptp(moved, axis=0) == pytest.approx(0.0, abs=1e-6)
