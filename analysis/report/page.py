@@ -105,7 +105,7 @@ def _table(part: ReportTable) -> str:
     """In a frame of its own that scrolls where the screen is narrow."""
     head = "".join(f'<th scope="col">{escape(one)}</th>' if one else "<td></td>" for one in part.columns)
     rows = "\n".join(
-        f'<tr><th scope="row">{_text(row[0])}</th>{"".join(map(_cell, row[1:]))}</tr>' for row in part.rows
+        f'<tr><th scope="row">{_words(row[0])}</th>{"".join(map(_cell, row[1:]))}</tr>' for row in part.rows
     )
     caption = escape(part.caption)
     wide = ' class="wide"' if len(part.columns) >= WIDE else ""
@@ -120,9 +120,9 @@ def _cell(cell: ReportCell) -> str:
     names = ["number"] if cell.value is not None else ["long"] if len(cell.text) > LONG else []
     names += ["held-out"] if cell.mark == HELD_OUT else []
     attribute = f' class="{" ".join(names)}"' if names else ""
-    return f"<td{attribute}>{_text(cell)}</td>"
+    return f"<td{attribute}>{_words(cell)}</td>"
 
 
-def _text(cell: ReportCell) -> str:
+def _words(cell: ReportCell) -> str:
     """Of a cell; a day stays in one line."""
     return DAY.sub(r"<time>\g<0></time>", escape(cell.text))
