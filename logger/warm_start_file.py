@@ -28,6 +28,7 @@ from tilth.schemas.sentences import notice_sentence
 FORMAT: Final = 5
 SECTIONS: Final = ("tractor", "implement", "tyres", "receiver", "wheel_angle")
 SOILS: Final = SECTIONS[:3]  # of which a map of a field is
+MAKES_ONE: Final = "`tilth map DIR --out FILE.json` makes one"
 CLOCK_IS_WRONG_S: Final = 86_400.0  # taken for the time between where the clock has gone back
 
 Warm = Callable[
@@ -128,6 +129,8 @@ def read(path: Path, machine: Machine, utc_ns: int, sections: Sequence[str] = SE
         raise NotUsable(f"{path} {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
         raise NotUsable(f"{path} cannot be read ({error})") from None
+    if not isinstance(plain, dict) or "format" not in plain:
+        raise NotUsable(f"{path} is another kind of file")
     try:
         if plain["format"] != FORMAT:
             raise NotUsable(f"{path} is of another version of tilth")
@@ -175,11 +178,12 @@ def _digests(machine: Machine, of: Sequence[str] = SECTIONS) -> dict[str, str]:
 def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report) -> bool:
     """Go on from what earlier runs have learned, and a map of the field tells, and say what became of it.
     Whether anything was used."""
-    found, field_map = _kept(path, machine, t_ns, SECTIONS, report), None
+    found, field_map = _kept(path, machine, t_ns, report), None
     if machine.estimation.field_map is not None:
-        of_map = _kept(Path(machine.estimation.field_map), machine, t_ns, SOILS, report, needed=True)
-        if of_map is not None and place.METHOD in of_map.learned:
-            field_map = of_map.learned[place.METHOD], of_map.elapsed_s
+        try:
+            field_map = map_of(Path(machine.estimation.field_map), machine, t_ns)
+        except NotUsable as why_not:
+            report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
     of_tractor = _accepted_of_tractor(tractor_path(path.parent, machine), machine, report)
     before = [] if found is None else found.accepted
     if later := [one for one in of_tractor if one not in before]:  # with another implement
@@ -208,15 +212,22 @@ def take_up(path: Path, machine: Machine, t_ns: int, warm: Warm, report: Report)
     return bool(used or found.accepted or found.moved or field_map)
 
 
-def _kept(
-    path: Path, machine: Machine, t_ns: int, sections: Sequence[str], report: Report, needed: bool = False
-) -> KeptRun | None:
-    """What can be used; what cannot is told. needed: it should be there."""
+def _kept(path: Path, machine: Machine, t_ns: int, report: Report) -> KeptRun | None:
+    """What can be used; what cannot is told."""
     try:
-        found = read(path, machine, t_ns, sections)
-        if found is None and needed:
-            raise NotUsable(f"{path} is not there; `tilth map` makes it")
+        return read(path, machine, t_ns)
     except NotUsable as why_not:
         report(EventKind.WARM_START, notice(NoticeCode.LEARNED_REFUSED, why=str(why_not)))
         return None
-    return found
+
+
+def map_of(path: Path, machine: Machine, utc_ns: int) -> tuple[SavedPosterior, float]:
+    """The map of a field, and its age, s. Raises NotUsable."""
+    try:
+        found = read(path, machine, utc_ns, SOILS)
+    except NotUsable as why_not:
+        raise NotUsable(f"[estimation] field_map: {why_not}; {MAKES_ONE}") from None
+    if found is None or place.METHOD not in found.learned:
+        what = "is not there" if found is None else "holds no map"
+        raise NotUsable(f"[estimation] field_map: {path} {what}; {MAKES_ONE}")
+    return found.learned[place.METHOD], found.elapsed_s

@@ -2,6 +2,7 @@
 but that of maps, which zoom by it and are whole without."""
 
 import html
+import re
 from collections.abc import Iterator
 from importlib import resources
 from typing import Final
@@ -23,6 +24,7 @@ from tilth.schemas.readable import readable
 
 LONG: Final = 28  # characters of a text that may take several lines
 WIDE: Final = 8  # columns
+DAY: Final = re.compile(r"\b\d{4}-\d\d-\d\d\b")
 _DEEPEST: Final = 6  # heading of HTML
 
 
@@ -103,8 +105,7 @@ def _table(part: ReportTable) -> str:
     """In a frame of its own that scrolls where the screen is narrow."""
     head = "".join(f'<th scope="col">{escape(one)}</th>' if one else "<td></td>" for one in part.columns)
     rows = "\n".join(
-        f'<tr><th scope="row">{escape(row[0].text)}</th>{"".join(map(_cell, row[1:]))}</tr>'
-        for row in part.rows
+        f'<tr><th scope="row">{_words(row[0])}</th>{"".join(map(_cell, row[1:]))}</tr>' for row in part.rows
     )
     caption = escape(part.caption)
     wide = ' class="wide"' if len(part.columns) >= WIDE else ""
@@ -119,4 +120,9 @@ def _cell(cell: ReportCell) -> str:
     names = ["number"] if cell.value is not None else ["long"] if len(cell.text) > LONG else []
     names += ["held-out"] if cell.mark == HELD_OUT else []
     attribute = f' class="{" ".join(names)}"' if names else ""
-    return f"<td{attribute}>{escape(cell.text)}</td>"
+    return f"<td{attribute}>{_words(cell)}</td>"
+
+
+def _words(cell: ReportCell) -> str:
+    """Of a cell; a day stays in one line."""
+    return DAY.sub(r"<time>\g<0></time>", escape(cell.text))

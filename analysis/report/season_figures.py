@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from tilth.analysis.report.figure_look import (
     BLUE,
@@ -81,7 +82,9 @@ def field_map(data: Mapping[str, Any]) -> Figure:
     """Value and uncertainty of each stiffness side by side, north up, with ways and the field's outline."""
     names = list(data["parameters"])
     west, east, south, north = data["extent"]
-    tall = min(1.2, (north - south) / (east - west)) * WIDTH / 2.0
+    tall = (
+        min(1.2, max(0.35, (north - south) / (east - west))) * WIDTH / 2.0
+    )  # a scale has room for its label
     figure, axes = panels(len(names), 2, len(names) * (tall + 0.4), sharex=True, sharey=True)
     for k, ((value, sd), name) in enumerate(zip(axes, names, strict=True)):
         logs, sds = (np.array(data["parameters"][name][key], dtype=np.float64) for key in ("mean", "sd"))
@@ -93,12 +96,14 @@ def field_map(data: Mapping[str, Any]) -> Figure:
         figure.colorbar(drawn, ax=sd, shrink=0.9, label="sd of its logarithm, %")
         for panel in (value, sd):
             for way in data["ways"]:
-                panel.plot(*np.array(way).T, color=QUIET, linewidth=0.4)
+                panel.plot(*np.array(way).T, color=INK, linewidth=0.4)
             panel.plot(*np.array(data["outline"]).T, color=INK, linewidth=0.8)
             panel.set(xticks=[], yticks=[], xlim=(west, east), ylim=(south, north))
             panel.spines[:].set_visible(False)
-        value.set(title=AXLES[name[-1]], gid=f"panel-{2 * k}")
-        sd.set(title="how uncertain", gid=f"panel-{2 * k + 1}")
+        value.set(gid=f"panel-{2 * k}")
+        sd.set(gid=f"panel-{2 * k + 1}")
+        value.set_title(AXLES[name[-1]], loc="left")
+        sd.set_title("how uncertain", loc="left")
     _scale_and_north(axes[0, 0], east - west)
     return figure
 
@@ -111,16 +116,23 @@ def _at_least(shown: Any, span: float) -> Any:
 
 
 def _scale_and_north(panel: Any, width_m: float) -> None:
-    """A bar of a round length above the panel, and an arrow."""
+    """A bar of a round length below the panel, and an arrow above it, whatever its shape."""
     power = 10.0 ** np.floor(np.log10(width_m / 4.0))
     bar = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= width_m / 4.0)
     plain = {"shrinkA": 0, "shrinkB": 0, "color": INK}
-    above = {"xycoords": "axes fraction", "annotation_clip": False}
+
+    def off(points: float) -> dict[str, Any]:
+        moved = panel.transAxes + ScaledTranslation(0.0, points / 72.0, panel.figure.dpi_scale_trans)
+        return {"xycoords": moved, "annotation_clip": False}
+
     ends = {"arrowstyle": "|-|,widthA=0.2,widthB=0.2", **plain}
-    panel.annotate("", (bar / width_m, 1.03), (0.0, 1.03), arrowprops=ends, **above)
-    panel.annotate(f"{bar:g} m", (bar / width_m + 0.02, 1.03), va="center", gid="scale", **above)
-    arrow = {"arrowstyle": "<-", **plain}
-    panel.annotate("N", (0.97, 1.02), (0.97, 1.1), ha="center", va="bottom", arrowprops=arrow, **above)
+    panel.annotate("", (bar / width_m, 0.0), (0.0, 0.0), arrowprops=ends, **off(-8.0))
+    beside = {"xytext": (4.0, 0.0), "textcoords": "offset points", "va": "center"}
+    panel.annotate(f"{bar:g} m", (bar / width_m, 0.0), gid="scale", **beside, **off(-8.0))
+    arrow, tail = {"arrowstyle": "<-", **plain}, off(17.0)["xycoords"]
+    panel.annotate(
+        "N", (0.97, 1.0), (0.97, 1.0), ha="center", va="bottom", arrowprops=arrow, textcoords=tail, **off(4.0)
+    )
 
 
 SEASON_DRAWINGS: Final[Mapping[str, Callable[[Mapping[str, Any]], Figure]]] = {

@@ -142,7 +142,7 @@ def _chosen(rigs: Sequence[DrivenRig], machine: str | None, implement: str | Non
     there = "; ".join(_label(rigs, one) for one in meant or rigs)
     if meant:
         raise MapProblem(
-            f"a map is of one tractor with one implement: give --machine and --implement; {there}"
+            f"a map is of one tractor with one implement: give --machine and --implement; there are: {there}"
         )
     raise MapProblem(f"no such machine with such an implement is in this season; there are: {there}")
 

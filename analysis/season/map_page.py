@@ -38,8 +38,9 @@ def write_picture(path: Path, rig: RigStretches, field: MappedField) -> None:
     stream = BytesIO()
     with matplotlib.rc_context(LOOK):
         figure = field_map(drawn(field))
-        figure.suptitle(f"{_name(rig)}: field {field.number}, {_days(field)}")
-        figure.savefig(stream, format="png", dpi=DPI, facecolor=PAPER, metadata={"Software": None})
+        figure.suptitle(title := f"{_name(rig)}: field {field.number}, {_days(field)}")
+        told = {"Software": None, "Title": title}
+        figure.savefig(stream, format="png", dpi=DPI, facecolor=PAPER, metadata=told)
     whole_file.write(path, stream.getvalue(), replace=False)
 
 

@@ -19,6 +19,7 @@ from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import YEARS, Clock
 from tilth.logger.log.lock import lock
 from tilth.logger.status import LOW_HOURS, recording_hours
+from tilth.logger.warm_start_file import NotUsable, map_of
 from tilth.logger.zenoh.session import refusal, try_session, why
 from tilth.schemas.axle_loads import axle_loads
 from tilth.schemas.machine import Machine
@@ -42,6 +43,7 @@ def check(machine: Machine, folder: Path, seconds: float) -> list[CheckFinding]:
     clock = Clock()
     return [
         *_configuration(machine),
+        *_field_map(machine, clock),
         *_listen(machine, clock, seconds),
         *_disk(folder, machine.log.keep_free_megabytes * 1e6),
         *_clock(clock),
@@ -58,6 +60,18 @@ def _configuration(machine: Machine) -> Iterator[CheckFinding]:
     yield CheckFinding("yaw inertia", Level.OK, _inertias(machine))
     for rare in unusual(machine):
         yield CheckFinding("machine file", Level.WARNING, rare)
+
+
+def _field_map(machine: Machine, clock: Clock) -> Iterator[CheckFinding]:
+    if machine.estimation.field_map is None:
+        return
+    try:
+        _, age_s = map_of(Path(machine.estimation.field_map), machine, clock.t_ns())
+    except NotUsable as why_not:
+        yield CheckFinding("field map", Level.WARNING, f"{why_not}; without it the run begins without a map")
+    else:
+        text = f"{machine.estimation.field_map}: last driven {age_s / 86_400.0:.1f} days ago"
+        yield CheckFinding("field map", Level.OK, text)
 
 
 def _inertias(machine: Machine) -> str:

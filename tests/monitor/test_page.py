@@ -96,6 +96,7 @@ def test_a_run_in_the_field(browser: Browser, tmp_path: Path, request: pytest.Fi
         rig.let_it_write(False)
         expect_run(page, "NOT RECORDING", "bad")
         assert page.title().endswith("NOT RECORDING")
+        expect(page.locator("#problems")).to_contain_text("Not recording: ", timeout=SOON_MS)
         picture(request, page, "page-not-recording")
         rig.let_it_write(True)
 

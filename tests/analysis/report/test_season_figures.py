@@ -1,9 +1,12 @@
 """Figures of a season: what their axes show."""
 
+from itertools import combinations
+
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 from tilth.analysis.report.figure_look import LOOK
 from tilth.analysis.report.season_figures import MOST_DAYS_NAMED, calendar, field_map, soils
@@ -34,7 +37,9 @@ def test_soils_have_a_panel_for_each_stiffness_in_the_order_of_driving() -> None
     data = {"parameters": {"C_af": points, "C_ai": points[:2]}, "days": [{"day": "2026-05-01", "at": 0}]}
     with matplotlib.rc_context(LOOK):
         panels = soils(data).axes
-    assert [panel.get_ylabel() for panel in panels] == ["C_αf, kN/rad", "C_αi, kN/rad"]
+    assert [panel.get_ylabel() for panel in panels] == [
+        "front axle\nC_αf, kN/rad", "implement's axle\nC_αi, kN/rad",
+    ]  # fmt: skip
     shown = np.asarray(panels[0].lines[0].get_ydata(), dtype=np.float64)
     np.testing.assert_allclose(shown, np.arange(100.0, 105.0))
 
@@ -53,3 +58,22 @@ def test_a_map_shows_value_and_uncertainty_with_north_up_and_little_contrast_whe
     assert high / low == pytest.approx(np.exp(0.2), rel=1e-3)
     assert uncertain.get_clim() == pytest.approx((7.5, 12.5))
     assert {text.get_text() for text in value.texts} == {"", "5 m", "N"}
+
+
+@pytest.mark.parametrize(("wide_m", "tall_m"), [(60, 400), (800, 60), (200, 200), (30, 30)])
+def test_words_of_a_map_do_not_overlap_whatever_the_shape_of_the_field(wide_m: int, tall_m: int) -> None:
+    logs = np.random.default_rng(0).uniform(11.0, 13.0, (tall_m // 10, wide_m // 10)).tolist()
+    shown = {"mean": logs, "sd": logs}
+    way = [[0.0, 0.0], [wide_m, tall_m]]
+    data = {
+        "extent": [0.0, wide_m, 0.0, tall_m], "parameters": dict.fromkeys(("C_af", "C_ar", "C_ai"), shown),
+        "ways": [way], "outline": way,
+    }  # fmt: skip
+    with matplotlib.rc_context(LOOK):
+        figure = field_map(data)
+        figure.draw_without_rendering()
+    texts = [one for one in figure.findobj(Text) if isinstance(one, Text)]
+    words = [one for one in texts if any(map(str.isalpha, one.get_text()))]  # ticks have none
+    boxes = [(one.get_text(), one.get_window_extent()) for one in words]
+    assert len(boxes) == 14  # titles and labels of six panels, scale, north
+    assert [(a, b) for (a, one), (b, other) in combinations(boxes, 2) if one.overlaps(other)] == []

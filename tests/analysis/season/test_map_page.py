@@ -69,11 +69,11 @@ def test_the_panels_of_a_field_zoom_together_and_its_scale_with_them(
     near = shown(first)
     assert [one[2] / was[2] for one, was in zip(near, whole, strict=True)] == pytest.approx([0.5] * 6)
     assert scale_m(first) == length_m / 2.0 and shown(other) == whole
-    box = first.locator("svg").first.bounding_box()
+    box = first.locator("svg.frame").first.bounding_box()
     assert box is not None
-    page.mouse.move(box["x"] + 0.2 * box["width"], box["y"] + 0.2 * box["height"])
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
     page.mouse.down()
-    page.mouse.move(box["x"] + 0.22 * box["width"], box["y"] + 0.22 * box["height"])
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.6 * box["height"])
     page.mouse.up()
     moved = [(one[0] - was[0], one[1] - was[1]) for one, was in zip(shown(first), near, strict=True)]
     assert moved[0][0] < -1.0 and moved[0][1] < -1.0 and np.ptp(moved, axis=0) == pytest.approx(0.0, abs=1e-6)
@@ -82,11 +82,9 @@ def test_the_panels_of_a_field_zoom_together_and_its_scale_with_them(
 
 
 def test_a_picture_is_written_once(field: MappedField, tmp_path: Path) -> None:
-    rig, other = (RigStretches(name, "drill", MACHINE, (), ()) for name in ("tractor", "other"))
+    rig = RigStretches("tractor", "drill", MACHINE, (), ())
     write_picture(tmp_path / "m.png", rig, field)
     picture = (tmp_path / "m.png").read_bytes()
-    assert picture.startswith(b"\x89PNG")
+    assert picture.startswith(b"\x89PNG") and b"tractor, implement drill: field 2, 1970-01-01" in picture
     with pytest.raises(FileExistsError):
         write_picture(tmp_path / "m.png", rig, field)
-    write_picture(tmp_path / "n.png", other, field)
-    assert (tmp_path / "n.png").read_bytes() != picture  # it says whose it is

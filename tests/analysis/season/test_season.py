@@ -67,8 +67,11 @@ def test_a_run_that_gives_nothing_and_a_bad_file_are_rows_with_reasons(logs: Pat
     assert all(row["reason"] for row in rows)
     assert rows[0]["machine"] == MACHINE.machine.name and len(rows[0]["logs_sha256"]) == 64
     page = (out / SUMMARY).read_text(encoding="utf-8")
-    assert "Runs that deserve a look: 3. Files that are not used: 1." in page
+    assert "<p>Runs that deserve a look: 3. Files that are not used: 1.</p>" in page
     assert page.index('id="look-at"') < page.index('id="days"')  # what to do comes before what was found
+    assert (
+        page.count("<td><time>") == 2 * 3 and "<time>" in page[page.index('id="days"') :]
+    )  # days stay whole
 
 
 def test_what_is_done_is_not_done_again(logs: Path, tmp_path: Path) -> None:

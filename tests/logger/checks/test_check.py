@@ -14,22 +14,24 @@ from pathlib import Path
 
 import can
 import pytest
-from logs import MACHINE_TEXT
+from logs import MACHINE, MACHINE_TEXT
 from loopback import free_port, machine_text, rig, udp_bus
 from paths import shared
 
 from tilth.cli import duration, main
 from tilth.logger.checks import check as check_module
-from tilth.logger.checks.check import _configuration, check
+from tilth.logger.checks.check import _configuration, _field_map, check
 from tilth.logger.checks.finding import CheckFinding, Level
 from tilth.logger.clock import Clock, Relation
 from tilth.logger.machine_file import read_machine
+from tilth.logger.warm_start_file import text_of
 from tilth.replay.discover import BusSurvey
 from tilth.replay.machine_draft import draft
 from tilth.schemas.machine import MachineError
 from tilth.schemas.machine_toml import parse_machine
 
 VIRTUAL = '[[bus]]\nname = "can0"\ninterface = "virtual"\nchannel = "tilth-check"\n\n'
+OTHER = MACHINE.model_copy(update={"tractor": MACHINE.tractor.model_copy(update={"a": MACHINE.tractor.b})})
 SECONDS = 0.4  # long enough that a busy computer hears the other thread
 
 
@@ -264,3 +266,26 @@ def test_what_a_scale_would_show_is_said_with_ballast() -> None:
     assert loaded.startswith("tractor 9991 kg, implement 2127 kg (with 600 kg of ballast on the tractor)")
     front = [float(text.split("front axle stands at ")[1].split(" kg")[0]) for text in (bare, loaded)]
     assert front[1] - front[0] == pytest.approx(600 * 4.1 / 2.9, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "is not there"),
+        ('{"type": "FeatureCollection", "features": []}', "is another kind of file"),  # a map for people
+        ("[]", "is another kind of file"),
+        ("not", "cannot be read"),
+        (text_of(MACHINE, {}, 0), "holds no map"),
+        (text_of(OTHER, {}, 0), "[tractor] of the machine file changed"),
+    ],
+)
+def test_a_field_map_that_cannot_be_used_is_told_before_the_run(
+    text: str | None, said: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "field.json"
+    if text is not None:
+        file.write_text(text)
+    estimation = MACHINE.estimation.model_copy(update={"field_map": str(file)})
+    (found,) = _field_map(MACHINE.model_copy(update={"estimation": estimation}), Clock())
+    assert found.state is Level.WARNING and said in found.text and "tilth map" in found.text
+    assert list(_field_map(MACHINE, Clock())) == []
