@@ -146,9 +146,9 @@ class SocketcandServer:
             self.clients.remove(client)
 
 
-def open_server(port: int = 0) -> SocketcandServer:
-    """A server on 127.0.0.1; port 0: any free one."""
-    return SocketcandServer(socket.create_server(("127.0.0.1", port)))
+def open_server() -> SocketcandServer:
+    """A server on 127.0.0.1, on any free port."""
+    return SocketcandServer(socket.create_server(("127.0.0.1", 0)))
 
 
 def _frame_command(frame: Frame) -> bytes:
