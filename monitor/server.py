@@ -104,9 +104,8 @@ class Viewers:
     that are open somewhere and looked at by no one.
     """
 
-    def __init__(self, view: Shown, now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, view: Shown) -> None:
         self._view = view
-        self._now_s = now_s
         self._queues: dict[asyncio.Queue[Said], str] = {}  # and whose it is, the oldest first
         self._limiter = Limiter(VIEWERS, EACH, "pages")
 
@@ -114,7 +113,7 @@ class Viewers:
         """Turn by turn, until cancelled."""
         sent_s = 0.0
         while True:
-            now_s = self._now_s()
+            now_s = time.monotonic()
             turn = self._view.turn(now_s)
             if turn.news or turn.anew or now_s - sent_s >= IDLE_S:
                 sent_s = now_s
@@ -150,7 +149,7 @@ class Viewers:
             await socket.send_denial_response(PlainTextResponse(f"{full}\n", 503))
             return
         queue: asyncio.Queue[Said] = asyncio.Queue(WAITING)
-        queue.put_nowait(self._view.whole(self._now_s()))
+        queue.put_nowait(self._view.whole(time.monotonic()))
         self._queues[queue] = client
         sending: asyncio.Task[None] | None = None
         try:

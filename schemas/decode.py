@@ -411,7 +411,6 @@ def frames_of(
     payload: bytes,
     source: int,
     destination: int = BROADCAST,
-    priority: int | None = None,
     sequence: int = 0,
 ) -> list[tuple[int, bytes]]:
     """[(29-bit identifier, data)] of a payload: one frame, or a fast packet with this sequence (0 to 7).
@@ -421,7 +420,7 @@ def frames_of(
     known = next((row for row in PGNS if row.pgn == pgn), None)
     if known is None:
         raise ValueError(f"the table has no PGN {pgn}; add a row to PGNS")
-    can_id = join(known.priority if priority is None else priority, pgn, source, destination)
+    can_id = join(known.priority, pgn, source, destination)
     if known.fast:
         return [(can_id, data) for data in split_fast(payload, sequence)]
     if len(payload) > 8:

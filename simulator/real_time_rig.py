@@ -7,7 +7,6 @@ at the next line, or when its input is closed.
 """
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import BinaryIO, Final
@@ -18,7 +17,7 @@ from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import parse_machine
 from tilth.simulator.drive import drive
 from tilth.simulator.scenario import STEP_S, Scenario, from_json
-from tilth.simulator.socketcand_server import START_DELAY_NS, TICK_S, SocketcandServer, open_server
+from tilth.simulator.socketcand_server import START_DELAY_NS, TICK_S, SocketcandServer, open_server, tell
 from tilth.simulator.steered_rig import LiveDriver
 from tilth.simulator.steering import REFUSALS
 from tilth.simulator.tractor import COMPILED_FROM, Setting
@@ -117,18 +116,13 @@ def main() -> None:
         scenario = from_json(order["scenario"])
         if order["seconds"] >= COMPILED_FROM * STEP_S:  # or its first seconds would be late for the compiler
             drive(machine, order["seed"], COMPILED_FROM * STEP_S)
-        _tell({"port": server.port})
+        tell({"port": server.port})
         while len(server.listening()) < order["listeners"]:
             if server.serve(0.02, orders):
                 return
-        drive_live(server, machine, order["seed"], order["seconds"], scenario, orders, _tell)
+        drive_live(server, machine, order["seed"], order["seconds"], scenario, orders, tell)
         while not (server.serve(1.0, orders) and orders.readline() == b""):
             continue
-
-
-def _tell(fact: dict[str, object]) -> None:
-    sys.stdout.write(json.dumps(fact) + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import select
 import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import BinaryIO, Final
 
@@ -146,9 +146,9 @@ class SocketcandServer:
             self.clients.remove(client)
 
 
-def open_server(port: int = 0) -> SocketcandServer:
-    """A server on 127.0.0.1; port 0: any free one."""
-    return SocketcandServer(socket.create_server(("127.0.0.1", port)))
+def open_server() -> SocketcandServer:
+    """A server on 127.0.0.1, on any free port."""
+    return SocketcandServer(socket.create_server(("127.0.0.1", 0)))
 
 
 def _frame_command(frame: Frame) -> bytes:
@@ -182,8 +182,8 @@ def main() -> None:
         scenario = replace(from_json(order["scenario"]), clock_offset_s=0.0)
         truth = drive(machine, order["seed"], order["seconds"], scenario)
         server = open_server()
-        _tell({"port": server.port})
-        _tell({"sent": _play_truth(server, machine, truth, orders)})
+        tell({"port": server.port})
+        tell({"sent": _play_truth(server, machine, truth, orders)})
         while not (server.serve(1.0, orders) and orders.readline() == b""):
             continue
 
@@ -199,7 +199,8 @@ def _play_truth(server: SocketcandServer, machine: Machine, truth: Truth, orders
     return play(server, traffic(machine, begun), clock, orders)
 
 
-def _tell(fact: dict[str, int]) -> None:
+def tell(fact: Mapping[str, object]) -> None:
+    """Say it to the process that started this one, as a line of JSON."""
     sys.stdout.write(json.dumps(fact) + "\n")
     sys.stdout.flush()
 

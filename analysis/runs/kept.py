@@ -24,7 +24,6 @@ Progress = Callable[[int, int], None]  # done, of all
 Say = Callable[[str], None]
 FORM: Final = 12  # of what is kept; grows when its meaning changes
 SMALL_BYTES: Final = 20e6
-_BLOCK: Final = 1 << 20
 _HEAD: Final = b"tilth kept 1\n"  # then the SHA-256 of all that follows
 _DIGEST: Final = hashlib.sha256().digest_size
 MOST_BYTES: Final = 10e9  # of all that is kept
@@ -59,11 +58,8 @@ def has_room(folder: Path, log: Log) -> bool:
 
 def sha256_of(path: Path) -> str:
     """Of a file's bytes. Raises OSError."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def key_of(*parts: object) -> str:

@@ -60,13 +60,12 @@ def local_sensitivities(
     speed: float,
     *,
     seconds: float | None = None,
-    angle: float = WHEEL_ANGLE,
     steering: str = STEP,
     parameters: Sequence[str] = MACHINE_PARAMETERS,
 ) -> LocalSensitivities:
-    """seconds, steering: as of `case_of`. angle: rad. Raises Unstable, ValueError."""
+    """seconds, steering: as of `case_of`. Raises Unstable, ValueError."""
     names = known(parameters)
-    case = case_of(model, rig, speed, seconds, angle, steering)
+    case = case_of(model, rig, speed, seconds, WHEEL_ANGLE, steering)
     reference = respond(case, rig)
     step, derivative, signed = [], [], []
     for name in names:

@@ -1,7 +1,7 @@
 """Everything that tells whether fitted parameters can be trusted, of what `tilth fit` has fitted."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -48,12 +48,8 @@ _OUTPUTS: Final = (
 )
 _FEWEST: Final = 40  # innovations to test
 
-Progress = Callable[[int, int], None]  # done, of all
 
-
-def hold_out(
-    fitted: Fitted, cache: Path | None = None, progress: Progress = lambda done, of: None
-) -> tuple[Subset, ...]:
+def hold_out(fitted: Fitted, cache: Path | None = None) -> tuple[Subset, ...]:
     """Parameters of every subset of the segments, over every segment; () where none told anything.
 
     A single segment's parameters are those of its own fit; segments that do not agree have none together.
@@ -66,7 +62,6 @@ def hold_out(
     for at, k in enumerate(fitted.told):
         driven = driven_of(fitted.wanted[k], cache)
         run = held_out.predictable(machine, fitted.wanted[k].id, driven, fitted.fits[k].mean)
-        progress(at, len(fitted.told))
         if run is not None:
             runs.append(run)
             places[run.id] = at

@@ -3,8 +3,8 @@
 Rows are collected into blocks of up to ten minutes (record/straight_rows.py). A block is fitted after two
 minutes, after five and when it is full, always as a whole from the posterior of the block before, drifted
 over the distance since (filters/row_fit.py). A second informs once. A stop in which the load may have changed
-ends a block: then it is fitted as it is. The fit is computed elsewhere (`fit`, a
-pure function) and adopted as one of pem is.
+ends a block: then it is fitted as it is. The fit is computed elsewhere (`fit`, a pure function) and adopted
+as one of pem is.
 
 Steering that only answers the ground tells nothing reliable: as long as its own share of the wheel angle is
 small, a block is not used, and the estimate says so with the share.

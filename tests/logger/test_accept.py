@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from logs import MACHINE
 from loopback import records_of, rig, until
+from verified import verified
 
 from tilth.cli import main
 from tilth.estimator.diagnosis.hypotheses import judge, posterior
@@ -21,8 +22,6 @@ from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.replay.compare import Comparison
-from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import Machine
 from tilth.schemas.machine_toml import MachineFile, parse_machine
@@ -96,9 +95,7 @@ def test_it_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     logs = daemon.close().log_files
     (logged,) = (said for log in logs for said in records_of(log, "/accepted", pb.Accepted))
     assert logged.what == "implement_front" and logged.amounts == pytest.approx([0.1, -0.02], abs=1e-3)
-    comparison = Comparison()
-    replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.difference == "" and comparison.compared > 500
+    verified(logs, MachineFile(machine, text), 500)
     following = Daemon(MachineFile(machine, text), tmp_path / "logs", None, NoDisplay(), keep=True)
     assert following.parts.estimation.fold.state.machine == fold.state.machine
     following.close()
@@ -141,9 +138,7 @@ def test_a_load_is_logged_then_used_and_a_replay_and_the_next_run_do_alike(
     logs = daemon.close().log_files
     (logged,) = (said for log in logs for said in records_of(log, "/load", pb.Carried))
     assert (logged.mass, logged.source) == (5500.0, "operator")
-    comparison = Comparison()
-    replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.difference == "" and comparison.compared > 500
+    verified(logs, MachineFile(machine, text), 500)
     following = Daemon(MachineFile(machine, text), tmp_path / "logs", None, NoDisplay(), keep=True)
     kept = following.parts.estimation.fold.state.carried
     assert kept is not None and kept.mass == pytest.approx(2000.0)

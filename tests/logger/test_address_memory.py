@@ -14,14 +14,14 @@ import pytest
 from logs import MACHINE
 from loopback import PATIENCE_S, Sender, free_port, machine_text, records_of, rig, udp_bus, until
 from restarted import SECOND, Followed, exchanged, from_s, right
+from verified import verified
 
 from tilth.logger import address_memory
 from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.guarded_fold import GuardedFold
-from tilth.replay.compare import Comparison
-from tilth.replay.offline import ReplayOutputs, replay
+from tilth.replay.offline import replay
 from tilth.schemas.channels import ADDRESSES_TOPIC
 from tilth.schemas.flow import Frame, Mount
 from tilth.schemas.identity import KnownAddress
@@ -91,9 +91,7 @@ def test_a_restarted_daemon_knows_its_receivers_live_and_in_replay(tmp_path: Pat
     logs = run_through(tmp_path, text, from_s(20.0, 21.0))
     (head,) = records_of(logs[0], ADDRESSES_TOPIC, pb.Addresses)
     assert {one.mount for one in head.known} >= {mount.value for mount in Mount}
-    comparison = Comparison()
-    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.compared > 100 and not comparison.difference
+    summary = verified(logs, MachineFile(machine, text), 100)
     assert "unidentified" not in summary.rejected and "unknown_source" not in summary.rejected
     other = text.replace(
         "mass = 9391.0", "mass = 9390.0"
@@ -133,10 +131,7 @@ def test_the_real_daemon_killed_while_driving(seconds: float, tmp_path: Path) ->
             daemon.communicate(timeout=PATIENCE_S)
     first_part = min(logs.glob("*_001.mcap"), key=lambda path: path.stat().st_mtime)
     second = [path for path in sorted(logs.glob("*.mcap")) if path != first_part]
-    comparison = Comparison()
-    machine = parse_machine(text)
-    summary = replay(second, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
-    assert not comparison.difference
+    summary = verified(second, MachineFile(parse_machine(text), text))
     assert "unidentified" not in summary.rejected and summary.poses > 5
 
 

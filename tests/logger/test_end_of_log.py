@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from drives import QUIET
 from logs import MACHINE, MACHINE_TEXT, START_NS
+from verified import verified
 
 from tilth.estimator.methods import pem
 from tilth.logger.guarded_fold import GuardedFold
 from tilth.logger.log.mcap_log import LogWriter, RunPart
-from tilth.replay.compare import Comparison
 from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.channels import FIT_TOPIC
 from tilth.schemas.flow import FitOutcome
@@ -50,9 +50,7 @@ def test_a_replay_of_what_a_replay_wrote_is_identical(log: Path, tmp_path: Path)
     summary = replay([log], MachineFile(MACHINE, MACHINE_TEXT), outputs=ReplayOutputs(writer=writer))
     writer.close()
     assert summary.estimates[pem.METHOD].excitation["fits"] == 1.0
-    comparison = Comparison()
-    second = replay([again], MachineFile(MACHINE, MACHINE_TEXT), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.compared > 0 and comparison.difference == ""
+    second = verified([again], MachineFile(MACHINE, MACHINE_TEXT))
     assert second.estimates == summary.estimates
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import can
 import pytest
 from loopback import TEXT, records_of
+from verified import verified
 
 from tilth.cli import main
 from tilth.logger import hitched, warm_start_file
@@ -14,8 +15,6 @@ from tilth.logger.daemon import Daemon, run_daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.hitched import SETTLED_NS, chosen
 from tilth.logger.machine_file import read_machine, read_rigs
-from tilth.replay.compare import Comparison
-from tilth.replay.offline import ReplayOutputs, replay
 from tilth.schemas.flow import Accepted, Frame
 from tilth.schemas.machine import MachineError
 from tilth.schemas.machine_toml import joined, parse_machine
@@ -167,9 +166,7 @@ def test_an_order_ends_the_run_and_the_next_is_of_the_other_rig(
     assert "krampe is hitched" in " ".join(event.text for event in records_of(first, "/event", pb.Event))
     assert {status.implement for status in records_of(second, "/status", pb.Status)} == {"krampe"}
     for log, name in ((first, "parker"), (second, "krampe")):
-        comparison = Comparison()
-        replay([log], rigs[name], outputs=ReplayOutputs(comparison=comparison))
-        assert comparison.difference == ""
+        verified([log], rigs[name], least=0)  # without receivers there are no results
 
 
 @pytest.mark.usefixtures("prepared")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from logs import MACHINE, MACHINE_TEXT
 from loopback import rig
+from verified import verified
 
 from tilth.estimator import fold
 from tilth.estimator.diagnosis.information import InformationForm
@@ -28,8 +29,6 @@ from tilth.logger.clock import Clock
 from tilth.logger.daemon import Daemon
 from tilth.logger.display import NoDisplay
 from tilth.logger.warm_start_file import CLOCK_IS_WRONG_S, NotUsable
-from tilth.replay.compare import Comparison
-from tilth.replay.offline import ReplayOutputs, replay
 from tilth.replay.readers.any_log import open_log
 from tilth.schemas.diagnosis import Diagnosis, DiagnosisState
 from tilth.schemas.flow import Accepted, Event, Frame, Status
@@ -342,9 +341,7 @@ def test_a_run_goes_on_from_the_one_before_and_its_log_replays_alone(
     kinds = [type(record) for record in open_log(logs[0]).records]
     assert kinds[0] is Snapshot  # before any frame
     machine, text = second_rig
-    comparison = Comparison()
-    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.difference == "" and comparison.compared > 500
+    summary = verified(logs, MachineFile(machine, text), 500)
     assert summary.estimates["pem"].parameters[0].value is not None
     assert summary.estimates["place"].of_place is not None  # the windows of the run before, in another plane
 
@@ -372,9 +369,7 @@ def test_a_run_that_begins_with_a_map_of_its_field_replays_alone(tmp_path: Path,
     assert daemon.parts.estimation.fold.state.estimators["tracker"].map_mean is not None
     logs = daemon.close().log_files
     file.unlink()
-    comparison = Comparison()
-    summary = replay(logs, MachineFile(machine, text), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.difference == "" and comparison.compared > 500
+    summary = verified(logs, MachineFile(machine, text), 500)
     assert "map_age_s" in summary.estimates["tracker"].excitation
 
 
@@ -477,9 +472,7 @@ def test_what_was_found_moved_stays_so_after_a_restart(
         assert all(p.value is None and p.status is Status.INVALID for p in given)
         assert "wheel_angle.zero" in sentence(given[0].reason)
     logs = second.close().log_files
-    comparison = Comparison()
-    replay(logs, MachineFile(*second_rig), outputs=ReplayOutputs(comparison=comparison))
-    assert comparison.difference == "" and comparison.compared > 500
+    verified(logs, MachineFile(*second_rig), 500)
 
 
 def test_what_is_left_out_stays_so_when_the_clock_of_the_log_steps_back() -> None:

@@ -25,6 +25,15 @@ def frame(t_ns: int, can_id: int, data: str, bus: str = "can0", **more: bool) ->
                  bytes.fromhex(data))  # fmt: skip
 
 
+def drive(count: int = 30) -> list[Frame]:
+    """Of two buses, both kinds of identifiers and every length; every 10 ms."""
+    return [
+        frame(EPOCH_S * SECOND + i * 10_000_000, 0x18FEF300 + i if i % 3 else 0x100 + i,
+              bytes(range(i, i + i % 9)).hex(), f"can{1 + i % 2}", extended=bool(i % 3))
+        for i in range(count)
+    ]  # fmt: skip
+
+
 def filetime(t_ns: int) -> bytes:
     return (t_ns // 100 + 116_444_736_000_000_000).to_bytes(8, "little")
 

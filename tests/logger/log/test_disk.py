@@ -49,18 +49,23 @@ def test_room_is_made_of_runs_that_are_copied_off_and_not_kept(tmp_path: Path) -
     assert ["20260103" in deleted[0], "20260104" in deleted[1], len(deleted)] == [True, True, 2]
 
 
-def test_a_disk_that_stalls_costs_no_frame_and_no_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    answers = threading.Event()
-    answers.set()
-    sync = os.fdatasync
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """The disk writes while this is set."""
+    answers, sync = threading.Event(), os.fdatasync
 
     def stalling(descriptor: int) -> None:
         answers.wait()
         sync(descriptor)
 
     monkeypatch.setattr(os, "fdatasync", stalling)
+    return answers
+
+
+def test_a_disk_that_stalls_costs_no_frame_and_no_time(
+    tmp_path: Path, answers: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers.set()
     run = Recorder(tmp_path, log="rotate_minutes = 0.05")
     frames = list(run.from_now(numbered(12_000)))
     for frame in frames[:2000]:
@@ -86,16 +91,8 @@ def test_a_disk_that_stalls_costs_no_frame_and_no_time(
 
 
 def test_a_disk_that_never_answers_stops_the_recording_before_memory_is_full(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, answers: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = threading.Event()
-    sync = os.fdatasync
-
-    def stalling(descriptor: int) -> None:
-        answers.wait()
-        sync(descriptor)
-
-    monkeypatch.setattr(os, "fdatasync", stalling)
     monkeypatch.setattr("tilth.logger.log.run_log.MOST_WAITING", 50_000)
     run = Recorder(tmp_path)
     for frame in run.from_now(numbered(9000)):

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from log_forms import EPOCH_S, TRC_VERSIONS, asc, frame, trc
+from log_forms import EPOCH_S, TRC_VERSIONS, asc, drive, frame, trc
 from logs import SECOND, drained
 from paths import shared
 
@@ -83,14 +83,6 @@ def test_what_is_no_date(text: str) -> None:
 # ASC
 
 
-def rows(count: int = 20) -> list[Frame]:
-    return [
-        frame(T + i * 10_000_000, 0x18FEF300 + i if i % 3 else 0x100 + i, bytes(range(i, i + i % 9)).hex(),
-              f"can{1 + i % 2}", extended=bool(i % 3))
-        for i in range(count)
-    ]  # fmt: skip
-
-
 ASC_DATES = (
     "Tue Nov 14 10:13:20 pm 2023",
     "Tue Nov 14 22:13:20.000 2023",
@@ -101,15 +93,15 @@ ASC_DATES = (
 
 @pytest.mark.parametrize("date", ASC_DATES)
 def test_an_asc_log(date: str, tmp_path: Path) -> None:
-    (tmp_path / "x").write_bytes(asc(rows(), date))
+    (tmp_path / "x").write_bytes(asc(drive(20), date))
     found, log = drained(tmp_path / "x")
-    assert (found, log.form, log.truncated, log.skipped, log.note) == (rows(), "ASC", False, {}, NO_ZONE)
+    assert (found, log.form, log.truncated, log.skipped, log.note) == (drive(20), "ASC", False, {}, NO_ZONE)
 
 
 def test_an_asc_date_that_cannot_be_read_is_said_and_costs_no_frame(tmp_path: Path) -> None:
-    (tmp_path / "x").write_bytes(asc(rows(), "Tue Elfter 14 22:13:20 2023"))
+    (tmp_path / "x").write_bytes(asc(drive(20), "Tue Elfter 14 22:13:20 2023"))
     found, log = drained(tmp_path / "x")
-    assert [f.t_ns for f in found] == [f.t_ns - T for f in rows()]
+    assert [f.t_ns for f in found] == [f.t_ns - T for f in drive(20)]
     assert log.note == f'its date "Tue Elfter 14 22:13:20 2023" cannot be read; {NO_DATE}'
 
 
@@ -196,9 +188,9 @@ def test_busmasters_asc_counts_from_midnight_and_nobody_elses_does(
 
 @pytest.mark.parametrize("version", TRC_VERSIONS)
 def test_every_version_of_trc(version: str, tmp_path: Path) -> None:
-    (tmp_path / "x.dat").write_bytes(trc(rows(), version))
+    (tmp_path / "x.dat").write_bytes(trc(drive(20), version))
     found, log = drained(tmp_path / "x.dat")
-    wanted = rows() if version in ("1.2", "1.3", "2.1") else [replace(f, bus="can1") for f in rows()]
+    wanted = drive(20) if version in ("1.2", "1.3", "2.1") else [replace(f, bus="can1") for f in drive(20)]
     for one, other in zip(found, wanted, strict=True):
         assert abs(one.t_ns - other.t_ns) <= 10_000  # the date has ten digits of a day
         assert replace(one, t_ns=0, rx_ns=0) == replace(other, t_ns=0, rx_ns=0)
@@ -240,7 +232,7 @@ TRC_LINES = {
     ("version", "line", "reason"), [(v, *row) for v, lines in TRC_LINES.items() for row in lines]
 )
 def test_rows_of_trc_that_are_no_frame(version: str, line: str, reason: str, tmp_path: Path) -> None:
-    content = trc(rows(), version)
+    content = trc(drive(20), version)
     (tmp_path / "x.trc").write_bytes(content + line.encode() + b"\r\n")
     found, log = drained(tmp_path / "x.trc")
     assert (len(found), log.skipped, log.truncated) == (20, {reason: 1}, False)

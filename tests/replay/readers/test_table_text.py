@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_forms import EPOCH_S, busmaster, canedge, cl2000, frame, kvaser, savvycan
+from log_forms import EPOCH_S, busmaster, canedge, cl2000, drive, frame, kvaser, savvycan
 from logs import SECOND, drained
 from paths import shared
 
@@ -19,15 +19,6 @@ from tilth.schemas.flow import Frame
 
 T = EPOCH_S * SECOND
 HALF = SECOND // 2
-
-
-def drive(count: int = 30) -> list[Frame]:
-    """Of two buses, both kinds of identifiers and every length; every 10 ms."""
-    return [
-        frame(T + i * 10_000_000, 0x18FEF300 + i if i % 3 else 0x100 + i, bytes(range(i, i + i % 9)).hex(),
-              f"can{1 + i % 2}", extended=bool(i % 3))
-        for i in range(count)
-    ]  # fmt: skip
 
 
 WRITERS: tuple[tuple[str, Callable[[Sequence[Frame]], bytes]], ...] = (
