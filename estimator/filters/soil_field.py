@@ -367,7 +367,7 @@ class SoilMemory:
         # What the surer of two windows has of errors, both have: a difference of them is not free of it.
         in_common = np.minimum(sds[:, None], sds[None, :]) ** 2 * units[:, None] * units[None, :]
         fixed += in_common.sum(axis=2) * (methods[:, None] == methods[None, :])
-        # Pieces of rows come from one fit, whose error is one.
+        # Pieces of rows are of one fit, or of blocks that each begin where the one before ended: one error.
         of_fit = np.where(methods == ROWS, -1, of)
         own = in_common.sum(axis=2) * (of_fit[:, None] == of_fit)
         apart = _apart(self._places, self._places)
