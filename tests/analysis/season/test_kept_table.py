@@ -40,7 +40,7 @@ def test_what_is_nowhere_on_earth_is_left_out_and_told(place: list[float], tmp_p
 def test_one_of_several_machines_is_named_or_asked_for(tmp_path: Path) -> None:
     kept_season(tmp_path, {"one": SOME, "other": SOME[:2]}, text=MACHINE_TEXT)
     with pytest.raises(
-        MapProblem, match=r"give --machine and --implement; one, implement .*; other, implement"
+        MapProblem, match=r"give --machine and --implement; there are: one, implement .*; other, implement"
     ):
         stretches_of(tmp_path)
     assert len(stretches_of(tmp_path, "other").stretches) == 2
