@@ -7,6 +7,7 @@ and the tractor runs light.
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tilth.simulator import noise
 from tilth.simulator.noise import Array, gauss_markov, generator
@@ -45,11 +46,11 @@ def slip(truth: Truth) -> Array:
     return result
 
 
-def _light(way: Array, yaw_rate: Array) -> Array:
+def _light(way: Array, yaw_rate: Array) -> NDArray[np.bool_]:
     """Where it turns, or does within LIFTED_M of its way."""
     turns = way[np.abs(yaw_rate) > TURNING]
     if not len(turns):
-        return np.zeros(len(way), bool)
+        return np.zeros(len(way), np.bool_)
     after = np.searchsorted(turns, way)
     nearest = np.minimum(
         np.abs(way - turns[np.maximum(after - 1, 0)]), np.abs(way - turns[np.minimum(after, len(turns) - 1)])
