@@ -17,7 +17,7 @@ from field_rig import FieldRig
 from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from hypothesis import given
 from hypothesis import strategies as st
-from loopback import PATIENCE_S, START_NS, rig, session, udp_bus, until
+from loopback import PATIENCE_S, START_NS, breath, rig, session, udp_bus, until
 from paths import MACHINE_FILE, ROOT
 from posed import pose_of
 from rust_build import in_rust
@@ -213,18 +213,23 @@ def test_a_replay_is_never_heard_in_the_domain_of_the_tractor(
     suffix: str, domain: str, machine: Machine
 ) -> None:
     sink = ZenohSink(machine, suffix)
-    messages, sent_ones = RosMessages(machine), 0
-    with session(sink.endpoints) as other:
-        keys: SimpleQueue[str] = SimpleQueue()
-        heard = other.declare_subscriber("**", lambda sample: keys.put(str(sample.key_expr)))
-        tokens = [str(reply.ok.key_expr) for reply in other.liveliness().get("@ros2_lv/**") if reply.ok]
-        of_ros: list[str] = []
+    messages = RosMessages(machine)
+    topics = {one.topic for topic, data in everything(machine) for one in messages.of(topic, data)}
+    of_ros = set[str]()
+
+    def take(sample: zenoh.Sample) -> None:
+        if "::dds_" in (key := str(sample.key_expr)):
+            of_ros.add(key)
+
+    def send() -> None:
         for topic, data in everything(machine):
             sink.put(topic, data)
-            sent_ones += len(list(messages.of(topic, data)))
-            while len(of_ros) < sent_ones:  # of many at once Zenoh drops some on a busy computer
-                key = keys.get(timeout=PATIENCE_S)
-                of_ros += [key] if "::dds_" in key else []
+            breath()
+
+    with session(sink.endpoints) as other:
+        heard = other.declare_subscriber("**", take)
+        tokens = [str(reply.ok.key_expr) for reply in other.liveliness().get("@ros2_lv/**") if reply.ok]
+        until(lambda: len(of_ros) >= len(topics), send)  # of many at once Zenoh drops some on a busy computer
         heard.undeclare()
     sink.close()
     assert {key.split("/")[0] for key in of_ros} == {token.split("/")[1] for token in tokens} == {domain}
