@@ -91,10 +91,7 @@ def merged_rows(seconds: float, seed: int) -> Linear:
     """Windows of row following on one rig, the posterior of each is the prior of the next; noise levels start
     again."""
     first = linear_plant.plant(rig_of(MACHINE), seed, "row", seconds, ROW_DEGREES)
-    setup, (mean, before) = (
-        linear_plant.setup(MACHINE),
-        linear_plant.prior(MACHINE),
-    )
+    setup, (mean, before) = linear_plant.setup(MACHINE), linear_plant.prior(MACHINE)
     noise, covariance = before[NOISE, NOISE].copy(), before
     chosen = [unknowns.AT[name] for name in linear_plant.UNKNOWN]
     whole, steps, converged = np.linalg.inv(before[np.ix_(chosen, chosen)]), 0, True

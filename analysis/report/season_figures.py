@@ -82,9 +82,8 @@ def field_map(data: Mapping[str, Any]) -> Figure:
     """Value and uncertainty of each stiffness side by side, north up, with ways and the field's outline."""
     names = list(data["parameters"])
     west, east, south, north = data["extent"]
-    tall = (
-        min(1.2, max(0.35, (north - south) / (east - west))) * WIDTH / 2.0
-    )  # a scale has room for its label
+    shape = (north - south) / (east - west)
+    tall = min(max(shape, 0.35), 1.2) * WIDTH / 2.0  # so a scale has room for its label
     figure, axes = panels(len(names), 2, len(names) * (tall + 0.4), sharex=True, sharey=True)
     for k, ((value, sd), name) in enumerate(zip(axes, names, strict=True)):
         logs, sds = (np.array(data["parameters"][name][key], dtype=np.float64) for key in ("mean", "sd"))

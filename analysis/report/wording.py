@@ -1,7 +1,7 @@
 """How numbers are written in tables and sentences: people's units, 95 % intervals, UTC."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from tilth.analysis.report.document import ReportCell
@@ -90,6 +90,12 @@ def degrees(value: float | None, places: int = 1) -> str:
 def clock(utc_s: float | None, pattern: str = "%H:%M:%S") -> str:
     """UTC of seconds since 1970."""
     return NOTHING if utc_s is None else utc_text(int(utc_s * 1e9), pattern)
+
+
+def dates(instants_ns: Iterable[int]) -> str:
+    """From the first to the last day, UTC, of instants in ns since 1970; "" without any."""
+    found = sorted(utc_text(at, "%Y-%m-%d") for at in instants_ns)
+    return " to ".join(dict.fromkeys((found[0], found[-1]))) if found else ""
 
 
 def seconds(value: float) -> str:

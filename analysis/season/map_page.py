@@ -20,11 +20,10 @@ from tilth.analysis.report.document import (
 from tilth.analysis.report.figure_look import LOOK, PAPER
 from tilth.analysis.report.page import page
 from tilth.analysis.report.season_figures import field_map
-from tilth.analysis.report.wording import NOTHING, many, meaning_of, sentences
+from tilth.analysis.report.wording import NOTHING, dates, many, meaning_of, sentences
 from tilth.analysis.season.field_map import STIFFNESSES, MappedField
 from tilth.analysis.season.kept_table import RigStretches, runs_in
 from tilth.analysis.season.map_files import MEANING
-from tilth.logger.clock import utc_text
 from tilth.logger.log import whole_file
 from tilth.schemas.readable import readable
 from tilth.schemas.spread import scale_of, unit_of
@@ -85,9 +84,7 @@ def _name(rig: RigStretches) -> str:
 
 def _days(field: MappedField) -> str:
     """When it was driven."""
-    begins = [one.begin_utc_ns for one in field.stretches]
-    first, last = (utc_text(at, "%Y-%m-%d") for at in (min(begins), max(begins)))
-    return first if first == last else f"{first} to {last}"
+    return dates(one.begin_utc_ns for one in field.stretches)
 
 
 def told_of(field: MappedField) -> str:

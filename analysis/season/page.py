@@ -22,6 +22,7 @@ from tilth.analysis.report.page import page
 from tilth.analysis.report.wording import (
     NOTHING,
     clock,
+    dates,
     heading_of,
     many,
     number,
@@ -94,9 +95,11 @@ def _short(made: Season, runs: Sequence[DrivenRun], rows: Sequence[SeasonRow]) -
     used = sum(row.known is not None for row in stretches)
     rigs = _rigs_of(runs)
     machines = many(len({one.machine for one in rigs}), "machine")
+    when = dates(one.begins_ns for one in runs if one.begins_ns)
+    driven = f", {when}" if when else ""
     text = (
         f"{many(len(runs), 'run')} of {seconds(hours)} by {machines}, {many(len(rigs), 'pair')} of machine "
-        f"and implement{_between(runs)}. Fitted stretches of driving: {len(stretches)}; used: {used}."
+        f"and implement{driven}. Fitted stretches of driving: {len(stretches)}; used: {used}."
     )
     look, left_out = sum(bool(one.look) for one in runs), len(made.inventory.left_out)
     parts: list[Part] = [
@@ -123,12 +126,6 @@ def _name(rig: DrivenRig) -> str:
 
 def _day(utc_ns: int) -> str:
     return clock(utc_ns * 1e-9, "%Y-%m-%d") if utc_ns else "unknown"
-
-
-def _between(runs: Sequence[DrivenRun]) -> str:
-    """First and last day."""
-    days = sorted({_day(one.begins_ns) for one in runs if one.begins_ns})
-    return f", {days[0]} to {days[-1]}" if len(days) > 1 else f", {days[0]}" if days else ""
 
 
 def _days(runs: Sequence[DrivenRun]) -> ReportSection:

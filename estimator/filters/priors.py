@@ -88,10 +88,8 @@ def surveyed(k: int) -> Callable[[Machine], Prior]:
     def found(machine: Machine) -> Prior:
         t, i = machine.tractor, machine.implement
         quantity = (t.a, t.b, t.c, i.d, i.e, t.mass, i.mass, t.yaw_inertia, i.yaw_inertia)[k]
-        bodies: dict[str, Tractor | Implement] = {"I_t": t, "I_i": i}
-        body, sd = bodies.get(GEOMETRY[k]), quantity.sd
-        if body is not None:
-            sd = inertia_sd_over_mass(body, body.ballast)
+        inertias = {"I_t": inertia_sd_over_mass(t, t.ballast), "I_i": inertia_sd_over_mass(i, i.ballast)}
+        sd = inertias.get(GEOMETRY[k], quantity.sd)
         return 0.0, sd if GEOMETRY[k] == "e" else sd / abs(quantity.value)
 
     return found

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tilth.estimator.diagnosis.open_numbers import Misfit
 from tilth.estimator.filters import row_fit, unknowns
 from tilth.estimator.filters.rig_setup import rig_setup
-from tilth.estimator.filters.soil_field import Told, told
+from tilth.estimator.filters.soil_field import ROWS, Told, told
 from tilth.estimator.filters.unknowns import AT, SIX, Matrix, Vector
 from tilth.estimator.methods import fitted, open_tracker, pem
 from tilth.estimator.methods.fitted import FittedState
@@ -36,7 +36,7 @@ from tilth.schemas.reasons import Code
 
 Array = NDArray[np.float64]
 
-METHOD: Final = "rows"
+METHOD: Final = ROWS
 ROLL_STIFFNESSES: Final = [AT["roll_k_t"], AT["roll_k_i"]]
 FRONT: Final = AT["roll_front"]
 

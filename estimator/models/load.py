@@ -55,7 +55,7 @@ LOAD: Final = LoadTuning()
 
 def laden(machine: Machine, now: Carried | None) -> Machine:
     """The rig with what its implement carries. machine: with the empty one; itself where it carries
-    nothing."""
+    nothing. The sd of its inertia is what remains over the mass."""
     load = machine.implement.load
     if now is None or load is None:
         return machine
